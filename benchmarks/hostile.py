@@ -1,9 +1,14 @@
 """What is not ours, tried at random; every campaign prints its line of SECURITY.md's table.
 
     python benchmarks/hostile.py kills [--times 12] [--seed 0] [--only study ...]    processes that are killed
+    python benchmarks/hostile.py cluster [--times 12]    a Dask cluster whose processes and network die
+    python benchmarks/hostile.py disks                   full, closed and gone disks, and clocks that jump
+    python benchmarks/hostile.py together [--times 3]    two of the same command at once in one folder
+    python benchmarks/hostile.py servers                 requests to what listens
+    python benchmarks/hostile.py pages                   scripts in every name
 
-Files and options at random are tests/fuzz_files.py, tests/fuzz_urdf.py and tests/random_options.py; disks are
-tests/failing_disks.py. Exit code 1 where something was lost.
+Files and options at random are tests/fuzz_files.py, tests/fuzz_urdf.py and tests/random_options.py. Exit code 1 where
+something was lost.
 """
 
 from __future__ import annotations
@@ -261,6 +266,203 @@ def kills(options: argparse.Namespace) -> list[str]:
     said = ", ".join(f"{count} of `{name}`" for name, count in counts.items())
     print(f"{counts.total()} kills (SIGKILL, SIGTERM, SIGINT): {said}: {len(wrong)} wrong")
     return wrong
+
+
+# -- a cluster ---------------------------------------------------------------------------------------------------------
+
+PATIENCE = 150.0  # until a command has seen that its cluster is gone [s]
+LARGER = STUDY.replace("points = 4", "points = 24")
+
+
+def cable(up: bool) -> None:
+    """Join the scheduler's network to this one, or cut it: packets vanish, nobody is told."""
+    from clusters import NETWORK
+
+    state = "up" if up else "down"
+    subprocess.run(["ip", "netns", "exec", NETWORK, "ip", "link", "set", f"{NETWORK}b", state], check=True)
+
+
+def lost(what: str, made: Any, client: subprocess.Popen[str]) -> None:
+    """Take something away from a study on a cluster: a scheduler, its first worker and one outside."""
+    scheduler, inside, outside = made.processes
+    if what == "a worker":
+        outside.kill()
+        made.worker()
+    elif what == "all workers":
+        for process in (inside, outside):
+            process.terminate()
+        made.worker(inside=True)
+    elif what == "the scheduler":
+        scheduler.kill()
+    elif what == "the client":
+        client.kill()
+    else:
+        cable(False)
+        if what == "the network for 3 s":
+            time.sleep(3.0)
+            cable(True)
+
+
+LOSSES = ("a worker", "all workers", "the scheduler", "the client", "the network", "the network for 3 s")
+
+
+def on_cluster(folder: Path, here: Path, whole: dict[str, Any], what: str, share: float) -> list[str]:
+    """A study on a cluster that loses something once a share of its rows are there: what is wrong with what comes."""
+    from clusters import Cluster, network
+
+    def study(address: str) -> subprocess.Popen[str]:
+        words = ["study", f"{here}/study.toml", "--out", f"{here}/out", "--cluster", address]
+        return started([sys.executable, str(folder / "mmnn"), *words], folder.name)
+
+    wrong = list[str]()
+    for round_, loss in enumerate((what, "")):  # then another cluster, on which the same command goes on
+        with network() as within:
+            (place := folder / f"cluster{round_}").mkdir(parents=True)
+            made = Cluster(place, within)
+            try:
+                for inside in (True, False):
+                    made.worker(inside)
+                for log in place.glob("worker*/log"):
+                    made.told(log, "(Registered to)")
+                client, until = study(made.address), time.monotonic() + PATIENCE
+                while len(rows_of_study(here)) < share * len(whole) and client.poll() is None:
+                    time.sleep(0.02)
+                    assert time.monotonic() < until
+                if loss and client.poll() is None:
+                    lost(loss, made, client)
+                elif loss:
+                    wrong.append(f"it was over before {loss} was lost")
+                try:
+                    said = client.communicate(timeout=PATIENCE)[1]
+                except subprocess.TimeoutExpired:
+                    client.kill()
+                    said = client.communicate()[1]
+                    wrong.append(f"it waits for ever: {said[-300:]}")
+            finally:
+                made.stop()
+        told = [line for line in said.splitlines() if "error: " in line]
+        ends = {"the client": {-9}, "the scheduler": {1}, "the network": {1}, "the network for 3 s": {0, 1}}
+        if client.returncode not in ends.get(loss, {0}) or "Traceback" in said or "internal error" in said:
+            wrong.append(f"exit code {client.returncode}: {said[-500:]}")
+        if client.returncode > 0 and (len(told) != 1 or "goes on" not in told[0]):
+            wrong.append(f"not one line: {said[-500:]}")
+        if not is_part(rows_of_study(here), whole):
+            wrong.append("a row is not what it would be")
+    if len(rows_of_study(here)) != len(whole):
+        wrong.append(f"{len(whole) - len(rows_of_study(here))} rows are lost")
+    return wrong
+
+
+def cluster(options: argparse.Namespace) -> list[str]:
+    """Studies on a Dask cluster of which something dies."""
+    wrong, counts, rng = list[str](), collections.Counter[str](), random.Random(options.seed)
+    losses = options.only or LOSSES
+    with tempfile.TemporaryDirectory() as scratch:
+        sound = prepared(Path(scratch) / "sound")
+        (sound / "study.toml").write_text(LARGER)
+        code, said, _ = ended(JOBS["study"].command(sound), "sound")
+        assert code == 0, said
+        whole = rows_of_study(sound)
+        for k in range(options.times):
+            what, share = losses[k % len(losses)], rng.uniform(0.05, 0.7)
+            here = prepared(Path(scratch) / f"try{k}" / "here")
+            (here / "study.toml").write_text(LARGER)
+            began = time.monotonic()
+            found = on_cluster(here.parent, here, whole, what, share)
+            wrong += [f"{what} lost after {share:.0%}: {one}" for one in found]
+            counts[what] += 1
+            lasted = time.monotonic() - began
+            print(f"{what} lost after {share:.0%}: {lasted:.0f} s, wrong: {found}", file=sys.stderr, flush=True)
+    said = ", ".join(f"{what} {count}" for what, count in counts.items())
+    print(f"{counts.total()} studies of {len(whole)} runs on a cluster that lost {said} times: {len(wrong)} wrong")
+    return wrong
+
+
+# -- disks, and two at once --------------------------------------------------------------------------------------------
+
+
+def disks(options: argparse.Namespace) -> list[str]:
+    """Every command that writes, on disks in trouble and with clocks that jump."""
+    from test_failing_disks import all_tried, judge
+
+    wrong, count = list[str](), 0
+    with tempfile.TemporaryDirectory() as scratch:
+        found = all_tried(Path(scratch) / "here", *["--quick"] * bool(options.quick))
+    said = found.pop("standard output")
+    for name, troubles in found.items():
+        count += len(troubles)
+        try:
+            judge(name, troubles)
+        except AssertionError as error:
+            wrong.append(f"{name}: {error}")
+    kinds = len({trouble for troubles in found.values() for trouble in troubles})
+    print(
+        f"{len(found)} commands in {kinds} kinds of trouble, {count} tries, and {len(said)} on a full standard output: "
+        f"{len(wrong)} wrong"
+    )
+    return wrong
+
+
+def both(command: Callable[[Path], list[str]], here: Path, apart: float) -> list[str]:
+    """The same command twice at the same time in one folder, one a little later: what is wrong with what they say."""
+    mark, wrong = f"{os.getpid()}.{time.monotonic_ns()}", list[str]()
+    first = started(command(here), mark)
+    time.sleep(apart)
+    pair = [first, started(command(here), mark)]
+    said = [process.communicate(timeout=600)[1] for process in pair]
+    codes = sorted(process.returncode for process in pair)
+    if codes not in ([0, 0], [0, 2]):
+        wrong.append(f"exit codes {codes}: {said}")
+    for process, told in zip(pair, said, strict=True):
+        lines = [line for line in told.splitlines() if "error: " in line]
+        if "Traceback" in told or "internal error" in told or (process.returncode == 2 and len(lines) != 1):
+            wrong.append(f"not one line: {told[-300:]}")
+    left = [f.name for f in here.rglob(".*") if f.name.endswith(PASSING) and not f.name.endswith(".lock")]
+    return [*wrong, *([f"left {left}"] if left else []), *([] if are_gone(mark) else ["processes were left"])]
+
+
+def together(options: argparse.Namespace) -> list[str]:
+    """Two of the same command at once: those that grow what they write, and all others that write."""
+    from failing_disks import COMMANDS, GROWING, prepare
+
+    wrong, counts, rng = list[str](), collections.Counter[str](), random.Random(options.seed)
+    with tempfile.TemporaryDirectory() as scratch:
+        files = Path(scratch) / "files"
+        prepare(files)
+        (Path(scratch) / "mmnn").write_text(PROGRAM)
+
+        def other(words: str) -> Callable[[Path], list[str]]:
+            where = ["env", "-C", str(files), sys.executable, f"{scratch}/mmnn"]
+            return lambda here: [*where, *(word.format(out=here / "out") for word in words.split())]
+
+        tried = {name: (job.command, job.results) for name, job in JOBS.items()}
+        tried |= {n: (other(words), names_in) for n, words in COMMANDS.items() if n not in (*GROWING, *JOBS)}
+        for name in options.only or tried:
+            command, results = tried[name]
+            sound = prepared(Path(scratch) / name.replace(" ", "_") / "sound")
+            began = time.monotonic()
+            code, said, _ = ended(command(sound), "sound")
+            lasts = time.monotonic() - began
+            assert code == 0, said
+            whole = results(sound)
+            for k in range(options.times):
+                here = sound.parent / f"try{k}"
+                shutil.copytree(sound, here, ignore=shutil.ignore_patterns("out"))
+                found = both(command, here, rng.choice((0.0, rng.uniform(0.0, lasts))))
+                after = results(here)
+                if not (is_part(after, whole) and is_part(whole, after)):
+                    found.append(f"what is there is not what would be: {sorted(after)}, not {sorted(whole)}")
+                wrong += [f"{name}: {one}" for one in found]
+                counts[name] += 1
+            print(f"{name}: {counts[name]} times, {len(wrong)} wrong so far", file=sys.stderr, flush=True)
+    print(f"{len(counts)} commands that write, two at once, {counts.total()} times: {len(wrong)} wrong")
+    return wrong
+
+
+def names_in(here: Path) -> dict[str, Any]:
+    """Names of what is in a folder for output."""
+    found = sorted((here / "out").rglob("*"))
+    return {str(file.relative_to(here)): file.is_dir() for file in found if not file.name.endswith(PASSING)}
 
 
 # -- servers -----------------------------------------------------------------------------------------------------------
@@ -542,7 +744,14 @@ def looked_at(chromium: Any, url: str) -> list[str]:
     return found
 
 
-CAMPAIGNS = {"kills": kills, "servers": servers, "pages": pages}
+CAMPAIGNS = {
+    "kills": kills,
+    "cluster": cluster,
+    "disks": disks,
+    "together": together,
+    "servers": servers,
+    "pages": pages,
+}
 
 
 def main() -> int:
@@ -552,6 +761,7 @@ def main() -> int:
     parser.add_argument("--times", type=int, default=12, help="of each kind (12)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+")
+    parser.add_argument("--quick", action="store_true", help="the commonest troubles of disks alone")
     options = parser.parse_args()
     wrong = CAMPAIGNS[options.campaign](options)
     print(*wrong, sep="\n")

@@ -10,7 +10,7 @@ from mmnn_pin.loop.driving import DeadReckoning, drive
 from mmnn_pin.reference.wishes import BaseVelocity
 
 WHEELS, ARM, TICK, RATE = (1, 2), (11, 12, 13, 14), np.pi / 2048, 0.229 * np.pi / 30.0  # ids, rad, rad/s
-TORQUE, MODE, GOAL_VELOCITY, GOAL_POSITION, VELOCITY, POSITION = 64, 11, 104, 116, 128, 132  # of the control table
+TORQUE, MODE, GOALS, VELOCITY, POSITION = 64, 11, (104, 116), 128, 132  # of the control table
 
 
 class TurtleBot:
@@ -18,8 +18,7 @@ class TurtleBot:
 
     def __init__(self, robot, period, port, packet, sync_read, sync_write):
         self.robot, self.period, self.odometry = robot, period, DeadReckoning()
-        self.state = sync_read(port, packet, VELOCITY, 8)
-        self.groups = [sync_write(port, packet, address, 4) for address in (GOAL_VELOCITY, GOAL_POSITION)]
+        self.state, self.groups = sync_read(port, packet, VELOCITY, 8), [sync_write(port, packet, g, 4) for g in GOALS]
         for i in (*WHEELS, *ARM):
             for address, value in ((TORQUE, 0), (MODE, 1 if i in WHEELS else 3), (TORQUE, 1)):
                 packet.write1ByteTxRx(port, i, address, value)
@@ -34,8 +33,8 @@ class TurtleBot:
         if self.state.txRxPacket() != 0:
             return None
         rates, q = RATE * self.numbers((*WHEELS, *ARM), VELOCITY), TICK * (self.numbers(ARM, POSITION) - 2048)
-        velocity = np.linalg.solve(self.robot.E[:2, :2].T, rates[:2])
-        return Measurement(self.odometry.move(velocity, self.period), velocity, q, rates[2:])
+        base = np.linalg.solve(self.robot.E[:2, :2].T, rates[:2])
+        return Measurement(self.odometry.move(base, self.period), base, q, rates[2:])
 
     def write(self, command):
         """Goals of all servos."""
@@ -56,7 +55,6 @@ def run(robot, bus, seconds, wish, **clock):
 if __name__ == "__main__":
     from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 
-    port = PortHandler(sys.argv[2])
-    port.setBaudRate(1_000_000)  # opens it, too
-    parts, robot = (port, PacketHandler(2.0), GroupSyncRead, GroupSyncWrite), load(sys.argv[1])
-    print(run(robot, parts, 5.0, lambda t: BaseVelocity((0.1, 0.3))).errors())
+    bus = (PortHandler(sys.argv[2]), PacketHandler(2.0), GroupSyncRead, GroupSyncWrite)
+    bus[0].setBaudRate(1_000_000)  # opens it, too
+    print(run(load(sys.argv[1]), bus, 5.0, lambda t: BaseVelocity((0.1, 0.3))).errors())

@@ -23,6 +23,9 @@ The names here are those that most people need; they are loaded when first used.
 
 from __future__ import annotations
 
+from . import program  # noqa: F401 - first: from then on Ctrl-C is heard
+
+# isort: split
 import lazy_loader
 
 from .shown import ABOVE

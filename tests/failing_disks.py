@@ -28,6 +28,7 @@ import msgspec
 import sound_files
 
 import mmnn_pin.files
+from mmnn_pin import load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.embed import export
 from mmnn_pin.deploy.identify import excitation, identification
@@ -53,7 +54,7 @@ COMMANDS = {
     "one row of a study": "study short.toml --row 1 --out {out}",
     "tune": "tune tuning.toml --workers 1 --out {out}",
     "inspect": "inspect two_axis_arm --picture {out}/a.png",
-    "judge": "judge run.h5 --plots {out}",
+    "judge": "judge learned.h5 --plots {out}",
     "identify": "identify log.csv --robot two_axis_arm --even-if-worse --out {out}",
     "excite": "excite two_axis_arm --duration 10 --seconds 0 --out {out}/a.csv",
     "embed": "embed track --controller pd --no-check --steps 3 --out {out}/c",
@@ -80,7 +81,7 @@ COMPUTED = (
 )
 
 
-def prepare(folder: Path) -> None:
+def prepare(folder: Path, quick: bool = False) -> None:
     """What the commands read."""
     folder.mkdir()
     sound_files.old_recording(folder / "run.h5")
@@ -88,6 +89,11 @@ def prepare(folder: Path) -> None:
     (folder / "tuning.toml").write_text(sound_files.TUNING.replace("check = 2", "check = 0"))
     sound_files.study(folder)
     sound_files.motion(folder / "log.csv")
+    if not quick:
+        steps = [f"time.{name}=0.005" for name in ("control_period", "plant_step")]
+        experiment = load_experiment("track", ["time.duration=0.8", *steps])
+        loop = experiment.loop(experiment.load_robot(), "adaptive")
+        loop.run(folder / "learned.h5", meta={"config": experiment.to_json()})
 
 
 def called(command: str, out: Path, *more: str) -> dict[str, Any]:
@@ -168,13 +174,14 @@ def jumping_clock() -> Iterator[None]:
 
 
 def once(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that is called once; its later calls have the first one's answer."""
-    answers: list[Any] = []
+    """A function that is called once for each recording; its later calls have the first one's answer."""
+    answers: dict[Any, Any] = {}
 
     def answer(*given: Any, **named: Any) -> Any:
-        if not answers:
-            answers.append(function(*given, **named))
-        return answers[0]
+        of = getattr(given[0], "path", None)
+        if of not in answers:
+            answers[of] = function(*given, **named)
+        return answers[of]
 
     return answer
 
@@ -228,7 +235,7 @@ def standard_output(place: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 def work(folder: Path, quick: bool) -> dict[str, Any]:
     """All commands in all troubles, or some in the commonest."""
-    prepare(folder)
+    prepare(folder, quick)
     if quick:
         file = folder / "x.toml"
         file.write_text(file.read_text().replace('title = "Broken"', "plots = []"))

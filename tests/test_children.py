@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from places import ROOT
+from study_files import SHORT
 
 from mmnn_pin.lab.study.pools import processes
 
@@ -69,6 +70,27 @@ def test_a_process_runs_nothing_that_lies_in_the_current_folder(kind: str, tmp_p
     done = python(own / "script.py", str(own), cwd=strange)
     assert not marker.exists(), marker.read_text()
     assert done.stdout.strip().endswith("done"), done.stderr
+
+
+STANDING = """
+import sys
+from mmnn_pin.cli import main
+if __name__ == "__main__":
+    for words in sys.argv[1:]:
+        assert main(words.split()) == 0
+"""
+
+
+def test_what_libraries_read_where_one_stands_is_not_read(tmp_path: Path) -> None:
+    """Numba's settings and matplotlib's: here one is no YAML, and the other keeps one waiting for ever."""
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "mmnn").write_text(STANDING)
+    (tmp_path / "short.toml").write_text(SHORT.replace("points = 4", "points = 1"))
+    (tmp_path / ".numba_config.yaml").write_text("[[[ : {")
+    os.mkfifo(tmp_path / "matplotlibrc")
+    words = ("run track --controller pd --set time.duration=0.004 --out r", "study short.toml --workers 2 --out s")
+    done = python(tmp_path / "own" / "mmnn", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_planted_module_would_have_run(tmp_path: Path) -> None:

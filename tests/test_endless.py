@@ -6,6 +6,7 @@ import ast
 import json
 import os
 import resource
+import shutil
 import signal
 import sys
 import time
@@ -16,6 +17,8 @@ import h5py
 import numpy as np
 import pytest
 from places import ROOT
+from sound_files import TUNING, motion
+from study_files import written
 
 from mmnn_pin import PD, Feedback, Recording, load_experiment
 from mmnn_pin.cli import main
@@ -39,6 +42,19 @@ COMMANDS = {
     "state": "model platform_arm --at {}.json",
     "start": "run track --set time.duration=0.01 --controller adaptive --set adaptive.start={} --out out",
     "identified": "report {}.identified.json --html out.html",
+    "hardware": "run track --set time.duration=0.01 --controller pd --hardware {}.toml --out out",
+    "columns": "identify log.csv --robot two_axis_arm --columns {}.toml --out out",
+    "held out": "identify log.csv --robot two_axis_arm --held-out {}.csv --out out",
+    "without load": "identify log.csv --robot two_axis_arm --payload --without-load {}.csv",
+}
+BESIDE = {  # what a command looks for beside what it is given
+    "robot.mmnn.toml": "inspect robot.urdf",
+    "robot.hardware.toml": "run track --robot robot.urdf --set time.duration=0.01 --controller pd --out out",
+    "db/results.jsonl": "report db --html out.html",
+    "out/results.jsonl": "study short.toml --workers 1 --out out",
+    "runs/run.h5": "plot runs --out out",
+    "tuned/tune.sqlite": "tune tuning.toml --workers 1 --out tuned",
+    "new/model.urdf": "inspect new",
 }
 
 
@@ -46,7 +62,11 @@ def named(kind: str, word: str, folder: Path) -> str:
     """A name with the ending that the command wants, of a file of a kind."""
     if kind == "/dev/zero" and not word:
         return kind
-    path = folder / f"{kind.strip('/').replace('/', '_')}{word}"
+    return str(made(kind, folder / f"{kind.strip('/').replace('/', '_')}{word}"))
+
+
+def made(kind: str, path: Path) -> Path:
+    """A file of a kind."""
     if kind == "pipe":
         os.mkfifo(path)
     elif kind == "folder":
@@ -56,7 +76,7 @@ def named(kind: str, word: str, folder: Path) -> str:
             file.truncate(10**12)  # of nothing: it takes no room
     else:
         path.symlink_to(kind)
-    return str(path)
+    return path
 
 
 @pytest.fixture(autouse=True)
@@ -76,10 +96,16 @@ def alarm() -> Iterator[None]:
 @pytest.mark.parametrize("kind", FILES)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_refuses_it_with_one_line(
-    command: str, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    command: str,
+    kind: str,
+    sound: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     if (command, kind) == ("log", "folder"):
         pytest.skip("a folder is a bag")
+    shutil.copytree(sound, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     words = COMMANDS[command].split()
     (place,) = [i for i, word in enumerate(words) if "{}" in word]
@@ -87,6 +113,12 @@ def test_a_command_refuses_it_with_one_line(
     name = named(kind, ending.partition(":")[0], tmp_path)
     words[place] = words[place].partition("{}")[0] + name + "".join(ending.partition(":")[1:])
     arguments = [word.replace("{urdf}", str(ROOT / "urdf" / "platform_arm.urdf")) for word in words]
+    line = refused_soon(arguments, capsys)
+    assert Path(name).name in line or command in ("reference", "start"), line
+
+
+def refused_soon(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line by which a command refuses, soon and without much memory."""
     begun, clock = time.process_time(), time.monotonic()
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     code = main(arguments)
@@ -95,6 +127,35 @@ def test_a_command_refuses_it_with_one_line(
     assert (code, len(told)) == (2, 1), lines
     assert "internal" not in told[0] and time.process_time() - begun < PATIENCE and time.monotonic() - clock < PATIENCE
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000  # kB
+    return told[0]
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of files that commands take."""
+    folder = tmp_path_factory.mktemp("sound")
+    written(folder)
+    (folder / "tuning.toml").write_text(TUNING)
+    motion(folder / "log.csv")
+    (folder / "robot.urdf").write_text((ROOT / "urdf" / "platform_arm.urdf").read_text())
+    return folder
+
+
+@pytest.mark.parametrize("kind", FILES)
+@pytest.mark.parametrize("name", BESIDE)
+def test_it_is_refused_where_a_command_looks_for_it_by_itself(
+    name: str,
+    kind: str,
+    sound: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shutil.copytree(sound, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    Path(name).parent.mkdir(exist_ok=True)
+    made(kind, Path(name))
+    assert Path(name).name in refused_soon(BESIDE[name].split(), capsys)
 
 
 @pytest.mark.parametrize("what", ["pipe", "/dev/zero", "large"])

@@ -24,6 +24,7 @@ FLOORS = (
             "settings",
             "parts",
             "children",
+            "program",
             "compiled",
             "by_address",
             "elementary",

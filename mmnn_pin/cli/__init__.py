@@ -6,9 +6,6 @@ recorded is kept). Whatever is slow to import is imported inside the commands.
 
 from __future__ import annotations
 
-from .leaving import heard, is_interruption  # first: from then on Ctrl-C is heard
-
-# isort: split
 import os
 import sys
 import traceback
@@ -21,6 +18,7 @@ import click
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName, printable
 from ..files import reason, way_out
+from ..program import heard, is_interruption
 from .docs import docs
 from .embed import embed
 from .identify import excite, identify

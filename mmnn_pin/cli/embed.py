@@ -96,6 +96,7 @@ def embed(
     from ..deploy.embed.files import TOLERANCE
     from ..deploy.embed.in_the_loop import compared, require_tools
     from ..lab.experiments.config import load_experiment
+    from ..lab.experiments.hardware import Fitted
 
     within = limits_of(limits)
     changes = [
@@ -118,7 +119,9 @@ def embed(
     run = None if plant is None else compared(supervised(loop), out, plant, cc.split(), steps, out / "run.h5", within)
     bits = f"within {TOLERANCE:g} of the largest torque of Python" if single else "with the bits of Python"
     said = "" if no_check else f"self-test passed: {made.selftest_steps} samples {bits}\n"
-    more = {} if run is None else {"in_the_loop": asdict(run)}
+    units = {} if found.hardware is None else Fitted(found.hardware, loaded).units()
+    said += "".join(f"{joint}: send {unit}; the C has efforts\n" for joint, unit in units.items())
+    more = ({} if run is None else {"in_the_loop": asdict(run)}) | ({"units": units} if units else {})
     answer(as_json, lambda: made.to_dict() | more, lambda: told(made, run, said))
     return DONE if run is None or not run.differences else FAILED
 

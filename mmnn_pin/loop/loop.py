@@ -281,7 +281,7 @@ class Loop:
             loaded=self.loaded(),
             contact=self.contact if self.plant == "contact" else None,
             block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
-            latency=self.latency.total,
+            latency=self.latency.total + self.sensor.base_age(self.timing.measurement_period),
             lag=self.actuator.lag,
             sight=VelocityFilter.of(self.sensor, self.timing.measurement_period),
             servo=linear_servos(self.robot, self.interfaces, self.servo, True),

@@ -164,6 +164,7 @@ def largest_share(plan: Plan) -> float:
     return 0.0
 
 
+@one_thread
 def holds(plan: Plan, gains: Array | None = None) -> bool:
     """Whether the sampled loop of a plan is stable and bears its delay, with its own gains on s or with others (p,)."""
     delay = known_delay(plan)

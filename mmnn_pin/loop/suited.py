@@ -425,7 +425,7 @@ def followable(
     for width in NARROWER if static.max(initial=0.0) > share else ():
         reach = width * (half - np.abs(off))
         tried = steerable((centre + off - reach, centre + off + reach))
-        if (load_there := held(tried)).max(initial=0.0) < static.max(initial=0.0):
+        if (load_there := held(tried, static.max(initial=0.0))).max(initial=0.0) < static.max(initial=0.0):
             best, static = tried, load_there
         if static.max(initial=0.0) <= share:
             break

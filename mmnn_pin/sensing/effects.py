@@ -315,13 +315,18 @@ class MessageLine(NamedTuple):
     loss: float  # probability that a message is lost
     uniforms: Array  # (measurements, 2) numbers in [0, 1) for jitter and loss
     faults: Array  # (measurements, 2) how many measurements later still, negative for lost, and what is added
+    of_base: int  # how many numbers tell of the base, the first of a message: its pose and velocity
+    every: int  # measurements from one time that these are new to the next
     slots: Array  # (longest delay + 1, message) state: what is under way
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Send the message off, and receive what has come."""
         count, late, added = int(wire.clock[COUNT]), self.faults[k, 0], self.faults[k, 1]
-        slot = self.slots[count % self.slots.shape[0]]
+        slot, before = self.slots[count % self.slots.shape[0]], self.slots[(count - 1) % self.slots.shape[0]]
+        if count % self.every != 0:
+            for i in range(self.of_base):
+                wire.message[i] = before[i]
         copy_to(wire.message, slot)
         if added != 0.0:  # or not a number
             for i in range(slot.size):

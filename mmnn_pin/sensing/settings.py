@@ -56,6 +56,7 @@ class Sensor(Settings, frozen=True):
         steering_noise: Of those on steering, casters and hitches [rad].
         velocity_noise: Of the velocities as they are sent, one number or one per velocity [m/s, rad/s].
         pose_noise: Of the pose as it is sent (x, y, phi) [m, m, rad].
+        base_period: Time after which pose and velocity of the base are new, in whole measurements; 0 for every one [s].
         delay: Delay of the line, in measurements.
         jitter: Largest further delay, in measurements; every whole number up to it is equally likely.
         loss: Probability that a message is lost; the controller keeps what it had.
@@ -78,13 +79,14 @@ class Sensor(Settings, frozen=True):
     steering_noise: float = 0.0
     velocity_noise: float | tuple[float, ...] = 0.0
     pose_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    base_period: float = 0.0
     delay: int = 0
     jitter: int = 0
     loss: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
-            if name.endswith(("resolution", "noise")):
+            if name.endswith(("resolution", "noise", "base_period")):
                 require_gain(getattr(self, name), f"sensor.{name}")
             elif name.endswith("offset") and not np.all(np.isfinite(getattr(self, name))):
                 what = f"{getattr(self, name)} is not finite"
@@ -117,7 +119,14 @@ class Sensor(Settings, frozen=True):
 
     def line(self, period: float) -> float:
         """How long a message is under way on the line, at its longest [s]; arguments as of `smoothing`."""
-        return (self.delay + self.jitter) * period
+        return (self.delay + self.jitter) * period + self.base_age(period)
+
+    def base_age(self, period: float) -> float:
+        """How old pose and velocity of the base become before there are new ones [s]; likewise."""
+        return (self._every(period) - 1) * period
+
+    def _every(self, period: float) -> int:
+        return max(1, math.ceil(self.base_period / period - 1e-9))
 
     def on(
         self,
@@ -173,7 +182,16 @@ class Sensor(Settings, frozen=True):
             Velocities(self.velocity == "true", W, ESTIMATE if self.velocity == "model" else READING),
             WheelOdometry(self.pose == "odometry", path, pose),
             Noise(spread, np.array(self.pose_noise[: layout.pose], float), rates, poses),
-            MessageLine(self.delay, self.jitter, float(self.loss), uniforms, faults, slots.reshape(-1, size)),
+            MessageLine(
+                self.delay,
+                self.jitter,
+                float(self.loss),
+                uniforms,
+                faults,
+                layout.pose + layout.base,
+                self._every(period),
+                slots.reshape(-1, size),
+            ),
         )
         return Sensors(period, wire, effects)
 

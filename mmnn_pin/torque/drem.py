@@ -29,6 +29,9 @@ not say stays as it is: no parameter is moved for another. With it, V = s' M s /
 in continuous time: a constant metric, where `concurrent` has a V that jumps as its stack changes. Gamma answers s by
 `tracking` over K on random motion of unit speed; a sample's answer stays below a share of the feedback, as in
 `torque.adaptive`. The bounds |w_j| <= BOUND are of each parameter alone: they move none of them away from a w within.
+Coarse encoders make equations that say of any motion that it excites everything, and a w by which velocities weigh less
+than nothing, or more than their loop bears (`Bears`). So w is moved to where the diagonal of M_hat is in between at
+some postures, along the normal of each bound: that brings it nearer to every w within all of them.
 Noise in Phi_f biases Omega; the instrumental variables of the paper of 2024, which are there for that, are left out.
 """
 
@@ -36,6 +39,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -58,6 +62,7 @@ from .prior import require_one_start
 Z, R = (INDEX[name] for name in ("z", "r"))
 FAINT = 0.01  # information of a prior of ten times the size, that makes Omega invertible
 OPEN = 0.1  # share of that prior variance which, where it is left of a parameter, leaves it as it is
+POSTURES = 20  # at which inertias are bounded
 BOUND = 10.0  # on every w, in standard deviations of the prior
 
 
@@ -114,6 +119,9 @@ class Mixing(NamedTuple):
     doubt: float  # `unsure^-4`
     gamma: float  # Gamma [1/J]
     share: float  # largest answer of a sample to s, as a share of the feedback
+    heavy: Array  # (c, k) unit rows, how the inertia of a velocity at a posture grows with w
+    least: Array  # (c,) at least that of it times w
+    most: Array  # (c,) at most
     Phi: Array  # (p, k) room to work in
     psi0: Array  # (p,) room to work in
     gradient: Array  # (k,) room to work in
@@ -148,6 +156,7 @@ def estimate(row: Array, at: IntArray, a: Mixing, state: Array) -> None:
     if has_equation(row, at, a, o.samples, o.filtered):
         extend(a, o)
         mix(a, o)
+        weigh(a, o.w)
 
 
 @internal
@@ -202,6 +211,19 @@ def mix(a: Mixing, o: Mixed) -> None:
             o.w[j] = min(max(o.w[j] + share * (said - o.w[j]), -BOUND), BOUND)
 
 
+@internal
+def weigh(a: Mixing, w: Array) -> None:
+    """Move w to where velocities weigh no less than nothing, and no more than their loop bears."""
+    for i in range(a.least.size):
+        felt = 0.0
+        for j in range(w.size):
+            felt += a.heavy[i, j] * w[j]
+        step = min(max(felt, a.least[i]), a.most[i]) - felt
+        if step != 0.0:
+            for j in range(w.size):
+                w[j] += step * a.heavy[i, j]
+
+
 @linked
 def settle(row: Array, at: IntArray, a: Mixing, state: Array) -> None:
     """Keep the torque that is held from this sample on."""
@@ -226,6 +248,7 @@ class Drem(CombinationLearner):
         """The numbers of the law, with room of its own to work in; errors as of `positive_gains`."""
         K, own, h = self._gains, self.settings, float(context.control_period)
         p, k, every = K.size, self.dimension, max(1, round(own.every / h))
+        heavy, least, most = self._weights
         mixing = Mixing(
             known=self.regressor.workspace(),
             basis=self.basis,
@@ -241,6 +264,9 @@ class Drem(CombinationLearner):
             doubt=own.unsure**-4,
             gamma=self.gamma,
             share=self.answer(context, SHARE),
+            heavy=heavy,
+            least=least,
+            most=most,
             Phi=np.zeros((p, k)),
             psi0=np.zeros(p),
             gradient=np.zeros(k),
@@ -250,6 +276,23 @@ class Drem(CombinationLearner):
             layout=layout_of(Mixed, self.shapes(context)),
         )
         return Law(constant_gain(K), mixing)
+
+    @cached_property
+    def _weights(self) -> tuple[Array, Array, Array]:
+        """Bounds of `weigh`, (c, k), (c,) and (c,)."""
+        rng, K = np.random.default_rng(0), self._gains
+        still, inertia = np.zeros(K.size), []
+        for _ in range(POSTURES):
+            position = self.regressor.random_position(rng)
+            gravity = self.regressor.matrix(position, still, still, still)
+            inertia += [
+                (self.regressor.matrix(position, still, still, e) - gravity)[i] for i, e in enumerate(np.eye(K.size))
+            ]
+        by_w, start = product(np.array(inertia), self.basis), product(np.array(inertia), self.start())
+        norm = np.sqrt((by_w * by_w).sum(axis=1))
+        bearable = np.inf if self.bears is None else np.tile(self.bears.weight * K, POSTURES)
+        most = np.maximum(bearable, start)
+        return by_w / norm[:, None], -start / norm, (most - start) / norm
 
     @property
     def gamma(self) -> float:

@@ -102,8 +102,14 @@ class ScheduledPD(CompiledController):
 
     @classmethod
     def build(cls, given: ControllerSettings) -> Self:
-        """At the gains of a learner's run."""
-        assert given.gains is not None
+        """At the gains of a learner's run.
+
+        Raises:
+            ConfigError: They are not given.
+        """
+        if given.gains is None:
+            why = "it takes the gain that a learner had at every sample of a run"
+            raise ConfigError(f"{given.name} without gains", why=why, fix="run both with `mmnn run`", key="controller")
         return cls(given.gains, given.name)
 
     def facts(self) -> dict[str, Any]:
@@ -118,11 +124,12 @@ class ScheduledPD(CompiledController):
         """The counter and the gains; after the end of a table (of a run that ended early) its last gain stays.
 
         Raises:
-            ConfigError: The table has no rows or not p columns.
+            ConfigError: The table has no rows, not p columns, or a number that is not finite.
         """
         p = context.layout.dof
-        if self.gains.ndim != 2 or self.gains.shape[1] != p or not len(self.gains):
-            raise ConfigError(f"gains of shape {self.gains.shape}", fix=f"give (samples, {p})", key="gains")
+        if self.gains.ndim != 2 or self.gains.shape[1] != p or not len(self.gains) or not np.isfinite(self.gains).all():
+            fix = f"give (samples, {p}), all finite"
+            raise ConfigError(f"gains of shape {self.gains.shape}", fix=fix, key="gains")
         state = super().init(context)
         state["gains"][:] = self.gains
         return state

@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import config
 
 from mmnn_pin import Hold, Line, Measurement, Recording, Sine, Stepper, Trajectory, load, load_experiment
 from mmnn_pin.elementary.matrices import product
+from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.safety import RAMPING, Safety
 from mmnn_pin.safety.settings import REACH
+from mmnn_pin.torque.entries import ENTRIES
 
 ROBOTS = ["platform_arm", "two_axis_arm", "swerve_arm"]
 CONTROLLERS = {"pd_gravity": True, "adaptive": True, "learned": False}  # by name: whether it takes servos
@@ -38,6 +41,7 @@ KINDS = [  # each compiles a loop of its own
     for controller, takes_servos in CONTROLLERS.items()
     for servos in (SERVOS if takes_servos else [EFFORT])
 ]
+CONTROLLED = [entry.name for entry in ENTRIES if not entry.gain_of]  # the others take gains of a run that is over
 LEAST = 0.02  # a silence that no robot may take amiss [s]
 
 
@@ -51,6 +55,15 @@ def simulated(robot: Robot, controller: str, start: float, *settings: str) -> Re
     lost = f'disturbances=[{{type="messages", fault="lost", start={start}}}]'
     settings = (f"time.duration={start + 0.6}", "safety.stop_time=0.05", lost, *settings)
     return load_experiment("track", overrides=list(settings)).loop(robot, controller).run()
+
+
+def interfaces(robot: Robot, servos: tuple[str, ...]) -> list[str]:
+    """Settings that give wheels and arm their interfaces."""
+    if servos == EFFORT:
+        return []
+    wheels = robot.actuator_names[: robot.dimensions.motors - robot.dimensions.arm]
+    kinds = {joint: servos[joint not in wheels] for joint in robot.actuator_names}
+    return ["interfaces={" + ", ".join(f'"{joint}"="{kind}"' for joint, kind in kinds.items()) + "}"]
 
 
 def gone(robot: Robot, step: np.ndarray) -> float:
@@ -74,11 +87,7 @@ def test_no_joint_and_no_base_goes_far_before_a_silence_is_seen(name, controller
     chosen = [f"seed={seed}", f"start.pose_offset=[{0.0002 * seed}, 0.0, 0.0]"] if robot.dimensions.base else []
     if period:
         chosen.append(f"time.sensor_period={period}")
-    if servos != EFFORT:
-        wheels = robot.actuator_names[: robot.dimensions.motors - robot.dimensions.arm]
-        kinds = {joint: servos[joint not in wheels] for joint in robot.actuator_names}
-        chosen.append("interfaces={" + ", ".join(f'"{joint}"="{kind}"' for joint, kind in kinds.items()) + "}")
-    run = simulated(robot, controller, start, *chosen)
+    run = simulated(robot, controller, start, *chosen, *interfaces(robot, servos))
     assert run.outcome.status == "tripped" and run.outcome.signal == "measurement"
     h = run.time[1] - run.time[0]
     every = period or h
@@ -86,6 +95,30 @@ def test_no_joint_and_no_base_goes_far_before_a_silence_is_seen(name, controller
     seen = int(np.argmax(run["safety"].ravel() == RAMPING))
     assert seen > heard and gone(robot, run["position"][seen] - run["position"][heard]) <= 1.0
     assert run.time[seen] - run.time[heard] > LEAST
+
+
+EVERY = [  # in turn, so that every controller and every interface is among the quick ones
+    pytest.param(name, *servos, marks=[] if (k + i) % len(SERVOS) == 0 else pytest.mark.long)
+    for k, name in enumerate(CONTROLLED)
+    for i, servos in enumerate(SERVOS)
+]
+
+
+@pytest.mark.skipif(not config.DISABLE_JIT, reason="each compiles a loop of its own")
+@pytest.mark.parametrize(("controller", "wheels", "arm"), EVERY)
+def test_that_holds_for_every_controller_on_every_interface(controller: str, wheels: str, arm: str) -> None:
+    robot, servos = robot_of("platform_arm"), (wheels, arm)
+    rng = np.random.default_rng(len(controller) + 7 * SERVOS.index(servos))
+    start = 0.002 * int(rng.integers(15, 50))
+    steps = [f"time.{name}=0.002" for name in ("control_period", "plant_step")]
+    try:
+        run = simulated(robot, controller, start, *steps, "safety.stop_time=0.01", *interfaces(robot, servos))
+    except ConfigError as error:
+        assert servos != EFFORT and "a servo of which no stiffness is known does not tell it" in str(error)
+        return
+    assert run.outcome.status == "tripped" and run.outcome.signal == "measurement"
+    heard, seen = round(start / 0.002) - 1, int(np.argmax(run["safety"].ravel() == RAMPING))
+    assert seen > heard and gone(robot, run["position"][seen] - run["position"][heard]) <= 1.0
 
 
 # -- one robot, sample by sample -------------------------------------------------------------------------------------

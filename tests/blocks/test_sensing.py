@@ -206,6 +206,20 @@ def test_a_delay_shifts_everything():
         np.testing.assert_array_equal(late[name][:3], np.tile(now[name][0], (3, 1)))
 
 
+@pytest.mark.parametrize("delay", [0, 2])
+def test_the_base_is_new_as_seldom_as_it_is_told_and_the_arm_at_once(delay):
+    position, nu = motion(samples=40)
+    exact = measured(Sensor(delay=delay), position, nu)
+    seldom = measured(Sensor(delay=delay, base_period=2.5 * PERIOD), position, nu)
+    told = np.maximum(np.arange(40) - delay, 0) // 3 * 3 + delay  # 2.5 measurements are 3
+    for name in ("pose", "velocity"):
+        np.testing.assert_array_equal(seldom[name], exact[name][told])
+    for name in ("q", "qdot"):
+        np.testing.assert_array_equal(seldom[name], exact[name])
+    assert Sensor(base_period=2.5 * PERIOD).base_age(PERIOD) == pytest.approx(2 * PERIOD)
+    assert Sensor(base_period=0.5 * PERIOD).base_age(PERIOD) == 0.0
+
+
 @patient
 @given(seeds, st.integers(0, 4), st.integers(0, 5), st.floats(0, 0.9))
 def test_what_arrives_is_never_older_than_what_was_there_nor_newer_than_the_delay(seed, delay, jitter, loss):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -40,7 +39,7 @@ class Presses:
         time.sleep(0.01)
 def load(*given, **more):
     Presses()
-    time.sleep(20)
+    time.sleep(600)
 loading.load = load
 sys.exit(main())
 """
@@ -53,19 +52,19 @@ def press():
     time.sleep(0.5)
 sys.exit(main())
 """
-TEXTS = {name: WHILE_IMPORTED.format(name=name) for name in ("click", "mmnn_pin.cli.study", "numpy", "pinocchio")}
+IMPORTED = ("lazy_loader", "click", "mmnn_pin.cli.study", "numpy", "pinocchio")
+TEXTS = {name: WHILE_IMPORTED.format(name=name) for name in IMPORTED}
 TEXTS |= {"destructor": IN_A_DESTRUCTOR, "end": AT_THE_END}
 
 
 @pytest.mark.parametrize("moment", TEXTS)
 def test_the_program_says_so_in_one_line(moment: str, tmp_path: Path) -> None:
     (tmp_path / "mmnn").write_text(TEXTS[moment])  # as it is installed
-    begun = time.monotonic()
     done = subprocess.run(
         [sys.executable, str(tmp_path / "mmnn"), "model", "platform_arm"],
-        env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=60,
+        env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
-    assert (done.returncode, done.stderr.lstrip()) == (130, LINE) and time.monotonic() - begun < 15.0
+    assert (done.returncode, done.stderr.lstrip()) == (130, LINE)
 
 
 def test_an_error_that_comes_of_it_is_none_of_ours(

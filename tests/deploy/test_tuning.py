@@ -36,9 +36,12 @@ class Library:
         self.loop = loop_of("platform_arm", controller)
         self.made = embed(self.loop, folder / "c", steps=5, compiler=None)
         sources = [folder / "c" / f"{name}.c" for name in ("controller", "tuning", "robot_law", "mmnn_math")]
+        sources.append(folder / "row.c")
+        declared = "double *row_of(mmnn_controller *c)"
+        sources[-1].write_text(f'#include "c/controller.h"\n{declared};\n{declared} {{ return c->row; }}\n')
         subprocess.run(["gcc", *STRICT, "-O1", "-shared", "-fPIC", *sources, "-o", folder / "lib.so"], check=True)
         self.c = ctypes.CDLL(str(folder / "lib.so"))
-        self.c.mmnn_motor_torque.restype = ctypes.POINTER(ctypes.c_double)
+        self.c.mmnn_motor_torque.restype = self.c.row_of.restype = ctypes.POINTER(ctypes.c_double)
         self.c.mmnn_step.argtypes = [
             ctypes.c_void_p,
             ctypes.c_double,
@@ -170,7 +173,7 @@ def test_a_payload_is_the_one_of_pinocchio(library):
     for one in (memory, other):
         for k in range(2):
             assert c.c.mmnn_step(one, 0.001 * k, read.ctypes.data, 0.001 * k, ctypes.byref(wanted)) == 0
-        row = np.frombuffer(bytes(one)[: 8 * layout.width])
+        row = np.array(c.c.row_of(one)[: layout.width])
         found.append((row[layout.where("psi_hat")], row[layout.where("nudot_ref")]))
     model, loaded = robot.model, pin.Model(robot.model)
     joint, (xx, xy, xz, yy, yz, zz) = model.getJointId("arm_2_joint"), payload[4:]

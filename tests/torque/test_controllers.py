@@ -19,6 +19,7 @@ from places import ROOT
 from scipy.special import expit
 
 import mmnn_pin
+from mmnn_pin import load_experiment
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
@@ -109,6 +110,14 @@ def test_schedule_of_a_run_that_ended_early_keeps_its_last_gain() -> None:
 def test_schedule_of_another_robot_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ConfigError, match=r"gains: error: gains of shape .*\(samples, 4\)"):
         Bench(ScheduledPD(np.ones(shape)))
+
+
+def test_gains_that_are_no_numbers_or_of_no_run_are_refused() -> None:
+    with pytest.raises(ConfigError, match="all finite"):
+        Bench(ScheduledPD(np.full((9, 4), np.nan)))
+    experiment = load_experiment("track")
+    with pytest.raises(ConfigError, match="pd_effective without gains"):
+        experiment.loop(experiment.load_robot(), "pd_effective")
 
 
 def network_answer(kind: str, W: Array, V: Array, x: Array, width: float) -> tuple[Array, float]:

@@ -109,4 +109,6 @@ def shaking(run: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 def times(ratio: float) -> str:
     """A factor in words."""
-    return f"{ratio:.2g} times" if ratio < 100 else f"{round(ratio, -math.floor(math.log10(ratio)) + 1):,.0f} times"
+    if ratio < 100:
+        return f"{ratio:.{2 + (0.95 < ratio < 1.95)}g} times"
+    return f"{round(ratio, -math.floor(math.log10(ratio)) + 1):,.0f} times"

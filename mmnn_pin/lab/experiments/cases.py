@@ -19,7 +19,7 @@ from ...recording.metrics import ERRORS
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
 from ...torque.neural import THESIS_INPUT
-from .config import E, config_error, merged, require_disturbances
+from .config import E, config_error, merged, on_other_hardware, require_disturbances
 from .controllers import LEARNERS
 from .experiment import Experiment, Tolerance
 from .result import Result
@@ -93,6 +93,8 @@ def with_case(experiment: E, name: str) -> E:
     table = case.set if case.experiment else merged(msgspec.to_builtins(experiment) | {"cases": {}}, case.set)
     try:
         require_disturbances(table.get("disturbances"))
+        if "hardware" in case.set and not case.experiment:
+            return on_other_hardware(experiment, table, case.set)
         return msgspec.convert(table, type(experiment))
     except msgspec.ValidationError as error:
         found = config_error(error, None, table, type(experiment))

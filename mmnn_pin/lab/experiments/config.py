@@ -25,7 +25,7 @@ from ...model.loading import load_with
 from ...recording.recording import Recording
 from ...settings.arguments import checked, unknown_key, wrong_type
 from .controllers import of_today
-from .experiment import Experiment
+from .experiment import FITTED, Experiment
 from .hardware import COARSEST, Fitted, borne, require_strength
 from .hardware_table import beside_urdf, read_hardware
 from .origins import of_override
@@ -130,7 +130,30 @@ def on_hardware(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[s
         told = ", ".join(f"{name} = {value}" for name, value in gains.items())
         notes += (f"kinematic gains that the whole loop on this hardware bears: {told}",)
     table["hardware"] |= {"notes": notes}
-    return msgspec.convert(table, kind)
+    experiment = msgspec.convert(table, kind)
+    FITTED.clear()
+    FITTED[experiment.of_robot()] = true
+    return experiment
+
+
+def on_other_hardware(base: E, table: dict[str, Any], said: Mapping[str, Any]) -> E:
+    """An experiment on hardware that a case or a study gives it, with all that follows.
+
+    Args:
+        base: The experiment.
+        table: All of it, as changed; changed.
+        said: What is changed: it counts more than the hardware.
+
+    Raises:
+        InputError: As of `on_hardware`; an experiment with hardware of its own.
+    """
+    if base.hardware is not None:
+        why = "what follows from one cannot be taken back for another"
+        raise ConfigError("the experiment has hardware", why=why, fix="leave it out there", key="hardware")
+    try:
+        return on_hardware(table, said, (), type(base))
+    except InputError as error:
+        raise error.but(key=(error.key or "hardware").removeprefix("--")) from None
 
 
 def recorded_experiment(recording: Recording) -> Experiment | None:

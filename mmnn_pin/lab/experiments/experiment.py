@@ -47,6 +47,8 @@ from .learner_tables import LearnerTables
 from .references import HeldOutReference, ReferenceTables
 
 PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths
+OF_ROBOT = ("robot", "overrides", "masses", "friction", "armature", "effort_limits", "speed_limits")
+FITTED: dict[bytes, Robot] = {}  # what hardware was fitted to last: its experiment takes it, and what it has cached
 
 
 @lru_cache(16)
@@ -270,7 +272,11 @@ class Experiment(LearnerTables, frozen=True):
             RobotError: The URDF cannot be used.
             UnknownName: No such robot, or no such body.
         """
-        return self.made_true(load_with(self.robot, self.overrides))
+        return FITTED.pop(self.of_robot(), None) or self.made_true(load_with(self.robot, self.overrides))
+
+    def of_robot(self) -> bytes:
+        """All that `load_robot` goes by."""
+        return msgspec.json.encode([getattr(self, name) for name in OF_ROBOT])
 
     def made_true(self, robot: Robot) -> Robot:
         """A robot as its file describes it, with the experiment's masses and friction.

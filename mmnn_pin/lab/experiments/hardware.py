@@ -105,8 +105,9 @@ class Fitted:
                 own = motor.stiffness / max((motor.damping or 0.0) + (motor.friction or 0.0), 1e-9)
             found.append(PLAIN_BANDWIDTH if own is None else own)
         wheels = [b for b, group in zip(found, self.groups, strict=True) if group == "wheels"]
-        if self.hardware.base.lag and self.hardware.wheels.bandwidth is None:
-            wheels = [1.0 / self.hardware.base.lag]
+        if lag := self.hardware.base.lag:
+            told = self.hardware.wheels.bandwidth is not None
+            wheels = [min(1.0 / lag, *wheels) if told else 1.0 / lag]
         steering = [found[robot.actuator_names.index(name)] for name in masters_of(robot)]
         return [min(wheels, default=PLAIN_BANDWIDTH)] * own_velocities(robot) + steering + found[self.arm]
 
@@ -123,8 +124,8 @@ class Fitted:
             found["servo"] = servo | ({"period": short(periods)} if any(periods) else {})
         gaps = self._gaps()
         motors: dict[str, Any] = {"torque_limit": "urdf"}
-        if self.of("lag").any():
-            motors["lag"] = short(self.of("lag"))
+        if (lags := self._lags()).any():
+            motors["lag"] = short(lags)
         if gaps.any():
             motors |= {"gap": short(gaps), "rotor_inertia": short(np.where(gaps > 0.0, self.of("rotor"), 0.0))}
         found["actuator"] = motors
@@ -149,6 +150,11 @@ class Fitted:
             found[name] = value / (motor.torque_constant or 1.0) if motor.interface in UNITS else value
         return found
 
+    def units(self) -> dict[str, str]:
+        """By joint, what a driver sends of an effort to motors that take it in another unit, see `sent`."""
+        named = zip(self.robot.actuator_names, self.motors, strict=True)
+        return {n: f"{m.interface} = effort / {m.torque_constant:g}" for n, m in named if m.interface in UNITS}
+
     def _gaps(self) -> Array:
         """Backlash of every motor that can be simulated: of rotors that are lighter than what they drive."""
         gaps, rotors = self.of("backlash"), self.of("rotor")
@@ -156,6 +162,12 @@ class Fitted:
         while (worst := heaviest(self.robot, np.where(gaps > 0.0, rotors, 0.0))[0]) >= 0:
             gaps[worst] = 0.0
         return gaps
+
+    def _lags(self) -> Array:
+        """Of every motor; a base that is slow by itself is so by its wheels where they take efforts."""
+        lag = self.hardware.base.lag or 0.0
+        driven = [g == "wheels" and m.interface != VELOCITY for m, g in zip(self.motors, self.groups, strict=True)]
+        return np.where(driven, np.maximum(self.of("lag"), lag), self.of("lag"))
 
     def notes(self) -> tuple[str, ...]:
         """Notes on what a simulation leaves out."""
@@ -189,13 +201,14 @@ class Fitted:
             sensor |= {"velocity": hardware.velocity, "bandwidth": hardware.filter}
         if hardware.base.odometry == "wheels" and self.robot.base.wheels:
             sensor["pose"] = "odometry"
+        if hardware.base.rate and self.robot.dimensions.base:
+            sensor["base_period"] = 1.0 / hardware.base.rate
         return {"sensor": sensor} if sensor else {}
 
     def _times(self) -> dict[str, Any]:
         hardware, base = self.hardware, self.hardware.base
         period = None if hardware.rate is None else 1.0 / hardware.rate
-        late = base.delay + max(0.0, 1.0 / base.rate - (period or 0.0)) if base.rate else base.delay
-        delay = max(hardware.delay, hardware.delay + late if self.robot.dimensions.base else 0.0)
+        delay = hardware.delay + (base.delay if self.robot.dimensions.base else 0.0)
         found: dict[str, Any] = {}
         if delay or hardware.jitter:
             found["latency"] = {"command": delay, "jitter": hardware.jitter}

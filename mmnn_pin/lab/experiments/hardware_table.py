@@ -7,6 +7,7 @@ It is `[hardware]` in an experiment, `ROBOT.hardware.toml` beside a URDF, or a p
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from os.path import lexists
 from pathlib import Path
 from typing import Any, Literal
 
@@ -80,9 +81,10 @@ class BaseHardware(Settings, frozen=True):
 
     Args:
         odometry: Where its pose comes from: "wheels", integrated from their encoders, or "true".
-        rate: How often it is told [1/s]; what it is older by counts as delay.
-        delay: Of it [s].
-        lag: Time constant of its velocity, where wheels' `bandwidth` does not say [s].
+        rate: How often pose and velocity of it are new [1/s]; the loop is judged as if all were as old as these become.
+        delay: Of it, which all measurements have then [s].
+        lag: Time constant of its velocity [s]: of a velocity interface that over which it follows, where wheels'
+            `bandwidth` is not slower; of wheels that take efforts that of their torque.
     """
 
     odometry: Literal["wheels", "true"] = "true"
@@ -153,7 +155,7 @@ def beside_urdf(robot: str) -> str | None:
     except InputError:
         return None
     file = path.parent / f"{path.name.partition('.')[0]}.hardware.toml"
-    return str(file) if file.is_file() else None
+    return str(file) if lexists(file) else None
 
 
 def read_hardware(given: str | Mapping[str, Any], merge: Callable[..., dict[str, Any]]) -> HardwareTable:
@@ -186,7 +188,7 @@ def completed(
     file: Path | None = None
     if isinstance(given, str):
         file = profiles().get(given, Path(given))
-        if given not in profiles() and (not file.suffix or not file.is_file()):
+        if given not in profiles() and (not file.suffix or not lexists(file)):
             if file.suffix:
                 raise ConfigError("no such file", fix=f"or name one of: {', '.join(profiles())}", file=file)
             raise UnknownName("hardware", given, profiles(), key="hardware")
@@ -202,7 +204,8 @@ def completed(
         inner, _ = completed(start, merge, (*before, *([] if file is None else [file])))
     except UnknownName as error:
         raise error.but(file=file, key="profile" if file else "hardware.profile") from None
-    return merge(inner, given), file
+    sources = [*inner.get("sources", ()), *given.get("sources", ())]
+    return merge(inner, given) | ({"sources": sources} if sources else {}), file
 
 
 def converted(value: Any, kind: type[Settings], file: Path | None, prefix: str) -> Any:

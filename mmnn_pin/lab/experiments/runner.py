@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -19,7 +20,7 @@ from ...recording.recording import Recording, as_columns
 from ...reference import warnings
 from ...reference.steerable import Enlarged
 from ...sensing import Sensor
-from ...settings import finite
+from ...settings import finite, one_or_each
 from ...settings.arguments import checked
 from ...torque.controller import TorqueController
 from ...torque.entries import CONTROLLERS as ENTRIES
@@ -102,7 +103,7 @@ def run_experiment(
     if tables is not None:
         hand = {c: hand_errors(recording, robot) for c, recording in kept.items()}
         notes += hand_notes(experiment, robot)
-    notes += [*margin_notes(experiment, kept), *limit_notes(robot, kept)]
+    notes += [*margin_notes(experiment, kept), *limit_notes(robot, kept), *unseen_notes(experiment.sensor, robot, kept)]
     plain = None
     if learners(kept) and not any(yardstick in kept for yardstick in YARDSTICKS):
         plain = plain_run(experiment, robot, progress)
@@ -216,6 +217,21 @@ def limit_notes(robot: Robot, runs: Mapping[str, Recording]) -> list[str]:
     most = far[name, i] * (upper[i] - lower[i])
     where = f"its limits {lower[i]:.3g} to {upper[i]:.3g}"
     return [f"{robot.joint_names[i]} goes {most:.3g} beyond {where} under {name}; the plant has no end stops"]
+
+
+def unseen_notes(sensor: Sensor, robot: Robot, runs: Mapping[str, Recording]) -> list[str]:
+    """Joints whose true errors are smaller than what rounding to a step of their encoders hides, a step / sqrt(12)."""
+    step = np.array(one_or_each(sensor.resolution, robot.dimensions.arm, "joint", "sensor.resolution"))
+    rms = [np.sqrt(np.mean(as_columns(r["true_e"]) ** 2, axis=0)) for r in runs.values() if "true_e" in r and len(r)]
+    below = np.min(rms, axis=0) < step / math.sqrt(12.0) if rms and step.any() else np.zeros(step.size, bool)
+    if not below.any():
+        return []
+    names = [name for name, is_below in zip(robot.joint_names, below, strict=True) if is_below]
+    who = " and ".join(names) if len(names) < 3 else f"{len(names)} joints"
+    most = step[below].max()
+    return [
+        f"true errors of {who} are smaller than rounding by the encoder ({most:.3g} rad or m): no robot shows these"
+    ]
 
 
 def margin_notes(experiment: Experiment, runs: Mapping[str, Recording]) -> list[str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ class FolderKind:
 
 def studies(path: Path) -> list[Path]:
     """The results of a study."""
-    inside = [path / name for name in RESULTS if (path / name).is_file()]
+    inside = [path / name for name in RESULTS if lexists(path / name)]
     return [path] if path.suffix in (".jsonl", ".sqlite") else inside[:1]
 
 

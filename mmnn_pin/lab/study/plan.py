@@ -20,7 +20,7 @@ import numpy as np
 
 from ...errors import ConfigError, InputError
 from ...model.structure import bodies_of
-from ..experiments.config import config_error
+from ..experiments.config import config_error, on_other_hardware
 from ..experiments.experiment import Experiment
 from ..experiments.laws import LAW, digest_of, name_of
 from .factors import Factor, unit_cube
@@ -199,8 +199,12 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
     known = {key: value for key, value in table.items() if key not in COSMETIC}
     for name, factor in settings.factors.items():
         for i, path in enumerate(factor.paths(name)):
+            key = f"factors.{name}.keys.{i}" if factor.keys else f"factors.{name}"
             with placing(study.path):
-                require_path(known, path, f"factors.{name}.keys.{i}" if factor.keys else f"factors.{name}")
+                require_path(known, path, key)
+            if touches(path, "hardware"):
+                why, fix = "all else follows from it", "give every hardware a study, or a case of an experiment"
+                raise study.placed(ConfigError("hardware is no factor", why=why, fix=fix, key=key))
     method, seed = settings.sampling.method, settings.sampling.seed if sampling_seed is None else sampling_seed
     count = settings.sampling.points if points is None or not settings.sampling.points else points
     plan = StudyPlan(
@@ -248,6 +252,12 @@ def changed_base(study: StudyFile) -> tuple[dict[str, Any], Experiment]:
     if of_bodies or any(path.startswith(BODIES) for path in paths_of(study.settings.factors)):
         expand_masses(table, study)
     set_values(table, of_bodies, study)
+    if table["hardware"] != msgspec.to_builtins(study.base.hardware):
+        try:
+            made = on_other_hardware(study.base, table, nested(given))
+        except (msgspec.ValidationError, InputError) as error:
+            raise not_set(error, table, study) from None
+        return deep(msgspec.to_builtins(made)), made
     return table, experiment_of(table, study)
 
 
@@ -273,8 +283,24 @@ def experiment_of(table: dict[str, Any], study: StudyFile) -> Experiment:
     try:
         return msgspec.convert(table, Experiment)
     except (msgspec.ValidationError, InputError) as error:
-        what, why, fix, key = parts_of(error, table)
-        raise study.placed(ConfigError(what, why=why, fix=fix, key=f"set.{key}")) from None
+        raise not_set(error, table, study) from None
+
+
+def not_set(error: InputError | msgspec.ValidationError, table: dict[str, Any], study: StudyFile) -> InputError:
+    """An error of a table, at its place in `set`."""
+    what, why, fix, key = parts_of(error, table)
+    return study.placed(ConfigError(what, why=why, fix=fix, key=f"set.{key}"))
+
+
+def nested(given: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Key paths and their values as tables in tables."""
+    found: dict[str, Any] = {}
+    for path, value in given:
+        here, (*above, last) = found, path.split(".")
+        for name in above:
+            here = here.setdefault(name, {})
+        here[last] = value
+    return found
 
 
 def parts_of(error: InputError | msgspec.ValidationError, table: dict[str, Any]) -> tuple[str, str, str, str]:

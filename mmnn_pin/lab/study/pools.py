@@ -165,6 +165,8 @@ def cluster(address: str) -> Iterator[Pool]:
             require_alike({"scheduler": client.run_on_scheduler(installed)} | client.run(installed, on_error="return"))
             count = len(client.nthreads())
             crew = f"{count} worker{'s' * (count > 1)}" if count else "no workers yet: waiting for some"
+            if not address.startswith("tls://"):
+                crew += "; open to whoever reaches it: `mmnn docs how-to/cluster`"
             executor = client.get_executor(pure=False, retries=RETRIES)
             yield Pool(
                 executor,

@@ -398,7 +398,7 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
         raise
     except Exception as error:  # SQLAlchemy's, which comes with Optuna; whatever a damaged database leads to
         inner = error.__cause__ or error
-        if trials is not None and not DATABASE & {type(inner).__module__.partition(".")[0], raised_in(inner)}:
+        if trials is not None and not DATABASE & {type(inner).__module__.partition(".")[0], *passed(inner)}:
             raise
         why = str(getattr(inner, "orig", None) or error).partition("\n")[0][:200]
         fix = ROOM if "full" in why or "disk I/O" in why else ""
@@ -409,10 +409,10 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
             storage.engine.dispose()
 
 
-def raised_in(error: BaseException) -> str:
-    """The package whose code raised an error: SQLAlchemy's are also Python's own, such as a LookupError."""
-    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
-    return str(frames[-1].f_globals.get("__name__", "")).partition(".")[0] if frames else ""
+def passed(error: BaseException) -> set[str]:
+    """The packages that an error came through: a database's are also Python's own, such as a LookupError or JSON's."""
+    names = (str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__))
+    return {name.partition(".")[0] for name in names}
 
 
 def require_sound(optuna: ModuleType, trials: Any, study: StudyFile, file: Path) -> None:

@@ -132,7 +132,7 @@ def with_file(urdf: Path, overrides: Overrides) -> tuple[Overrides, tuple[Findin
         ConfigError, UnknownName: As in `read_overrides`.
     """
     file = beside(urdf)
-    if not os.path.isfile(file):  # which has no opinion on names that no file system takes
+    if not os.path.lexists(file):  # which has no opinion on names that no file system takes
         return overrides, ()
     text = "it says what the loader does not look for"
     note = Finding("note", "overrides", str(file), 1, "", f"overrides of {urdf.name} are read from here", text)

@@ -158,6 +158,19 @@ def test_a_case_that_changes_what_is_not_there_is_named(keys, error, where):
     assert caught.value.key == where
 
 
+def test_a_case_may_be_on_hardware_of_its_own():
+    track = load_experiment("track", ['robot="two_axis_arm"'])
+    cases = {"slow": Case("slow", {"hardware": "unknown"}), "wrong": Case("wrong", {"hardware": "none"})}
+    found = with_case(msgspec.structs.replace(track, cases=cases), "slow")
+    alone = load_experiment("track", ['robot="two_axis_arm"', 'hardware="unknown"'])
+    assert found == msgspec.structs.replace(alone, title=found.title) and found.interfaces
+    with pytest.raises(UnknownName, match="none") as caught:
+        with_case(msgspec.structs.replace(track, cases=cases), "wrong")
+    assert caught.value.key == "cases.wrong.set.hardware"
+    with pytest.raises(ConfigError, match="the experiment has hardware"):
+        with_case(msgspec.structs.replace(alone, cases=cases), "slow")
+
+
 def test_a_case_that_cannot_run_is_refused_before_anything_is_written(tmp_path):
     joint = {"disturbances": [{"type": "dead_motor", "joint": "tail"}]}
     with pytest.raises(InputError, match="tail") as caught:

@@ -16,7 +16,7 @@ from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.files import read_toml
 from mmnn_pin.lab.experiments.config import merged
 from mmnn_pin.lab.experiments.hardware import Fitted, lines, proposed
-from mmnn_pin.lab.experiments.hardware_table import HardwareTable, JointHardware, profiles, read_hardware
+from mmnn_pin.lab.experiments.hardware_table import BaseHardware, HardwareTable, JointHardware, profiles, read_hardware
 from mmnn_pin.lab.experiments.runner import require_runnable, run_experiment
 from mmnn_pin.loop.servo import Command
 from mmnn_pin.loop.suited import MotorLoad
@@ -35,7 +35,7 @@ NAMES = {
 
 
 def on(robot, hardware, *more):
-    said = [] if hardware is None else [f'hardware="{hardware}"']
+    said = [] if hardware is None else [f"hardware={hardware}" if hardware[0] == "{" else f'hardware="{hardware}"']
     return load_experiment("track", [f'robot="{robot}"', *said, *ONE, *more])
 
 
@@ -45,11 +45,11 @@ def on(robot, hardware, *more):
 @pytest.mark.parametrize("name", profiles())
 def test_a_profile_has_a_source_for_what_it_says_and_says_what_is_assumed(name):
     table = read_hardware(name, merged)
-    assert table.title and table.sources and not table.notes and not table.profile
+    assert table.title and table.sources and not table.notes and table.profile in {"", *profiles()}
     guessed = [source for source in table.sources if source.startswith("assumed: ")]
     assert guessed or name == "ideal"
     said = read_toml(profiles()[name])
-    assert set(said) - {"title", "sources", "robots"} <= set(HardwareTable.__struct_fields__)
+    assert set(said) - {"title", "sources", "robots", "profile"} <= set(HardwareTable.__struct_fields__)
 
 
 def test_numbers_of_the_servos_follow_from_their_data_sheets():
@@ -109,6 +109,7 @@ def test_groups_patterns_and_single_joints_find_their_motors():
     found = fitted.settings()
     four = np.arange(4.0)
     sent = fitted.sent(Command(four, four, four, four, four + 10.0, four + 20.0, four[:2]))
+    assert fitted.units() == {second: "current = effort / 0.2"}
     assert sent == {left: 10.0, right: 11.0, first: 22.0, second: 3.0 / 0.2}
     assert found["interfaces"] == {left: "velocity", right: "velocity", first: "position"}
     assert found["servo"]["bandwidth"] == [8.0, 8.0, 20.0, 30.0]  # nothing is known of the last one
@@ -119,6 +120,29 @@ def test_groups_patterns_and_single_joints_find_their_motors():
         Fitted(HardwareTable(arm=JointHardware(interface="pwm")), robot)
     with pytest.raises(UnknownName, match="elbow"):
         Fitted(HardwareTable(joints={"elbow": JointHardware()}), robot)
+
+
+def test_a_base_has_a_rate_and_a_lag_of_its_own():
+    """Its pose is new so seldom, the arm's measurements are not late for it, and the loop is judged with the oldest."""
+    robot, wheels = load("platform_arm"), JointHardware(interface="velocity", bandwidth=8.0)
+
+    def found(**base):
+        own = base.pop("wheels", JointHardware(interface="velocity"))
+        table = HardwareTable(rate=50.0, delay=0.01, wheels=own, base=BaseHardware(**base))
+        return Fitted(table, robot).settings()
+
+    slow = found(rate=20.0, delay=0.02, lag=0.25)
+    assert slow["sensor"] == {"base_period": 0.05} and slow["latency"]["command"] == pytest.approx(0.03)
+    assert slow["servo"]["bandwidth"][:2] == [4.0, 4.0] and "lag" not in slow["actuator"]
+    assert found(lag=0.25, wheels=wheels)["servo"]["bandwidth"][:2] == [4.0, 4.0]
+    assert found(lag=0.05, wheels=wheels)["servo"]["bandwidth"][:2] == [8.0, 8.0]
+    assert found(lag=0.05, wheels=JointHardware())["actuator"]["lag"] == [0.05, 0.05, 0.0, 0.0]
+    told = on("platform_arm", '{profile="unknown", base={rate=10.0}}', "time.duration=0.5")
+    run, plan = told.loop(robot, "pd"), told.loop(robot, "pd").plan()
+    assert plan.latency == pytest.approx(told.latency.total + 4 * 0.02)
+    pose = run.run()["pose"]
+    changed = np.flatnonzero((np.diff(pose, axis=0) != 0.0).any(axis=1)) + 1
+    assert changed.size and not (np.diff(changed) % 5).any()
 
 
 def test_limits_of_a_table_stand_in_place_of_the_urdfs_for_everybody():

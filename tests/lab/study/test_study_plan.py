@@ -209,6 +209,42 @@ at_most = { "z.v.peak" = 0.02 }
     assert masses["arm_5_joint"] == 1.2 and masses["arm_3_joint"] == 1.0
 
 
+ON_HARDWARE = """
+experiment = "track"
+controllers = ["pd"]
+[set]
+robot = "two_axis_arm"
+{hardware}
+servo.gain = 0.1
+[sampling]
+points = 1
+[factors]
+{factor} = {{ {values} }}
+[success]
+at_most = {{ "e.*.peak" = 0.5 }}
+"""
+MASSES = {"factor": "masses", "values": "uniform = [0.8, 1.2]"}
+
+
+def test_hardware_that_a_study_sets_is_that_of_an_experiment_with_all_that_follows(tmp_path: Path) -> None:
+    alone = load_experiment("track", ['robot="two_axis_arm"', 'hardware="unknown"', "servo.gain=0.1"])
+    for hardware in ('hardware = "unknown"', 'hardware.profile = "unknown"'):
+        plan = planned(tmp_path, ON_HARDWARE.format(hardware=hardware, **MASSES))
+        made = plan.trial(0).experiment
+        names = ("interfaces", "servo", "actuator", "sensor", "latency", "time", "kinematic", "friction")
+        assert {name: getattr(made, name) for name in names} == {name: getattr(alone, name) for name in names}
+        assert made.hardware.title == alone.hardware.title and made.masses != 1.0
+    for hardware, words in (("unknow", "'unknow'"), ("feetech-sts3215", "too weak")):
+        with pytest.raises(InputError, match=words) as error:
+            planned(
+                tmp_path, ON_HARDWARE.format(hardware=f'hardware = "{hardware}"', **MASSES).replace("two_axis", "car")
+            )
+        assert "set.hardware" in str(error.value)
+    grid = {"factor": "hardware", "values": 'grid = ["unknown", "ideal"]'}
+    with pytest.raises(ConfigError, match=r"factors\.hardware: error: hardware is no factor"):
+        planned(tmp_path, ON_HARDWARE.format(hardware="", **grid).replace("[sampling]\npoints = 1\n", ""))
+
+
 # -- runs -------------------------------------------------------------------------------------------------------------
 
 
