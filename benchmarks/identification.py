@@ -4,12 +4,14 @@
     python benchmarks/identification.py ur10 INVERSE_DYNAMICS     # unisa-acg/inverse-dynamics-solver, BSD-3
     python benchmarks/identification.py panda INVERSE_DYNAMICS
     python benchmarks/identification.py ur10e CALIBRATION         # shamilmamedov/dynamic_calibration; a known load too
+    python benchmarks/identification.py kuka FLOBAROID            # kjyv/FloBaRoID, LGPL-3; see below
     python benchmarks/identification.py other --robot R LOG...    # any log, read as it is
     python benchmarks/identification.py coverage --robot panda    # do intervals cover the truth, in simulation?
     python benchmarks/identification.py payload --draws 100       # and those of what a hand carries?
     python benchmarks/identification.py excite --robot tiago      # what the motion found in 60 s determines
 
-The path is a clone of the repository that the data lies in; nothing of it is kept here. `--figaroh PYTHON` names the
+The path is a clone of the repository that the data lies in; nothing of it is kept here. FloBaRoID's measurements of a
+KUKA LWR4+ lie in its history: `git checkout e6c077e -- data/KUKA/HW` in the clone. `--figaroh PYTHON` names the
 interpreter of an environment with `pip install figaroh==1.0.2`: its least squares, weighted least squares and fit of
 possible bodies then stand beside ours, on the same equations, over the joints that we identify.
 """
@@ -83,6 +85,11 @@ CASES: dict[str, dict[str, Any]] = {
         "load": 2.805,  # kg, of estimate_drive_gains.m
         "constants": UR10E,
     },
+    "kuka": {
+        "robot": "model/kuka_lwr4.urdf",
+        "logs": ["measurements_1", "measurements_2"],
+        "held_out": ["measurements_3"],
+    },
 }
 
 
@@ -145,6 +152,18 @@ def by_figaroh(found: Identification, python: str) -> dict[str, float]:
 def of_ur10e(folder: Path, names: list[str], robot: Robot) -> list[Log]:
     """Logs of its tables."""
     return [columns_of_ur10e(folder / "dataset_ur10e/identification_data" / f"{name}.csv", robot) for name in names]
+
+
+def of_kuka(folder: Path, names: list[str], robot: Robot) -> list[Log]:
+    """Logs of its arrays: joints of one measurement side by side, in the URDF's order."""
+    found = []
+    for name in names:
+        table = np.load(folder / "data/KUKA/HW" / f"{name}.npz")
+        parts = (
+            dict(zip(robot.joint_names, table[key].T, strict=True)) for key in ("positions", "torques", "velocities")
+        )
+        found.append(Log.of(table["times"], *parts, name=name))
+    return found
 
 
 def known_load(folder: Path, case: dict[str, Any], robot: Robot) -> dict[str, Any]:
@@ -357,7 +376,8 @@ def main() -> None:
     name = folder / case["robot"] if "/" in case["robot"] and given.case in CASES else case["robot"]
     robot = load(name)
     if "held_out" in case:
-        logs, judged = (of_ur10e(folder, case[part], robot) for part in ("logs", "held_out"))
+        read = of_kuka if given.case == "kuka" else of_ur10e
+        logs, judged = (read(folder, case[part], robot) for part in ("logs", "held_out"))
     else:
         logs, judged = read_logs([folder / log for log in case["logs"]], robot, case.get("columns")), []
     settings = {"held_out": judged, "cutoff": given.cutoff, "torque_constants": case.get("constants")}
@@ -369,6 +389,8 @@ def main() -> None:
     table = report(found, given.figaroh) | {"seconds": seconds, "rows": [len(log.time) for log in logs]}
     if "load" in case:
         table["load_kg"] = known_load(folder, case, robot)
+    total = found.to_dict()["total"]
+    table["total_kg"] = {"mass": total["mass"], "interval": 1.96 * total["mass_sd"], "urdf": total["urdf_mass"]}
     table["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     if given.json:
         print(json.dumps(table))
@@ -382,6 +404,9 @@ def main() -> None:
     for joint, errors in table["joints"].items():
         mark = "" if joint in table["follow"] else "  not identified"
         print(f"{joint:22s}" + "".join(f"{100 * errors.get(model, np.nan):17.1f}%" for model in models) + mark)
+    print(
+        "links that move: {mass:.1f} +- {interval:.1f} kg (95 %), in the URDF {urdf:.1f} kg".format(**table["total_kg"])
+    )
     if "load_kg" in table:
         print("load: {mass:.3f} +- {interval:.3f} kg (95 %), weighed {truth} kg".format(**table["load_kg"]))
 

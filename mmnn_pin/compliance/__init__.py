@@ -9,4 +9,4 @@
 from .bound import Bound, Held, bound_of
 from .law import Compliance, give, wish
 from .settings import Force, Impedance, require_impedance
-from .wiring import compliance_of, compliance_size, soften
+from .wiring import compliance_of, compliance_size, set_force, soften

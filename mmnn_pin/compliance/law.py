@@ -30,7 +30,7 @@ import math
 from typing import NamedTuple
 
 from ..by_address import by_address
-from ..compiled import compiled, copy_to, entry, linked
+from ..compiled import compiled, copy_to, entry, internal, linked
 from ..model.chain import move
 from ..model.reduction import as_measured, position_rate, put_shape, quadratic, solve, substitute
 from ..model.tip import Tip, move_tip
@@ -47,14 +47,16 @@ ALPHA, ALPHADOT, Z, R, NU_REF, NUDOT_REF = (INDEX[n] for n in ("alpha", "alphado
 TORQUE, EFFECTIVE_GAIN = INDEX["torque"], INDEX["effective_gain"]
 ASKED_FORCE, STORAGE, INJECTED = INDEX["asked_force"], INDEX["storage"], INDEX["injected"]
 
-CREEPING = 0.01  # speed from which on a direction turns to the hand's motion [m/s]
+CREEPING = 0.01  # speed from which on a direction turns to the hand's motion, below it to the wrench [m/s]
+LEAST = 0.1  # share of the largest pull below which a wrench turns it more slowly
 PULL, RAMP = 200.0, 400.0  # of a followed speed: force per error [N s/m], and per error and second [N/m]
 FOLLOWS = 8.0  # how fast the hand follows its admittance [1/s]
 CARRIES = 4.0  # how fast a hand takes on what its springs carry before a force begins [1/s]
 MOMENT = 1e-4  # over which the rate of what is asked for is taken [s]
 # Numbers of a force, and what a compliance remembers.
 NEWTONS, START, RISE, GAIN, FOLLOW, SPEED, FAR, TURNING, FORCE = 0, 1, 2, 3, 4, 5, 6, 7, 8
-INTEGRAL, GONE, DIRECTION, MOVED, MOVING, BEGUN, AT_FIRST, CARRIED, FREE, STATE = 0, 1, 2, 5, 11, 17, 18, 19, 22, 25
+INTEGRAL, GONE, DIRECTION, MOVED, MOVING, BEGUN, AT_FIRST, CARRIED, FREE, ACROSS = 0, 1, 2, 5, 11, 17, 18, 19, 22, 25
+STATE = 28
 
 
 class HandScratch(NamedTuple):
@@ -112,7 +114,7 @@ class Compliance(NamedTuple):
         body, inertia: The robot that is believed in, and room to evaluate it, for M.
         torque: (p,) `J' F + P' K P s`, written.
         state: Integral of the force, way gone, direction (3,), x_c (6,), its rate (6,), 1 once V is known, and V then,
-            force that is carried (3,), and what is felt of a free hand (3,).
+            force that is carried (3,), what is felt of a free hand (3,), and what is added across a pull (3,).
         work: HandScratch.
     """
 
@@ -244,7 +246,7 @@ def spare(s: Array, c: Compliance) -> None:
 def carry(row: Array, time: float, c: Compliance, F: Array) -> None:
     """Add what the springs carried before a force begins, and nothing touched the hand: by that the model is wrong."""
     carried, free = c.state[CARRIED : CARRIED + 3], c.state[FREE : FREE + 3]
-    for i in range(3 if c.force[NEWTONS] > 0.0 else 0):
+    for i in range(3):
         if time < c.force[START]:
             carried[i] = min(c.limit, max(-c.limit, carried[i] + c.h * CARRIES * F[i]))
             free[i] += c.h * CARRIES * (row[c.felt + i] - free[i]) if c.felt >= 0 else 0.0
@@ -378,34 +380,73 @@ def springs_and_dampers(rate: Array, error: Array, c: Compliance, F: Array) -> f
 
 @compiled
 def push(row: Array, time: float, v: Array, c: Compliance, F: Array) -> None:
-    """Add the force along the direction; of what is followed, turn the direction to the hand's velocity v (6,)."""
-    force, state = c.force, c.state
+    """Add the force along the direction; v (6,) is the hand's velocity. By what is felt it is made true."""
+    force, state, felt = c.force, c.state, c.work.b[4]
     if not pushes(time, c):
         return
-    u = state[DIRECTION : DIRECTION + 3]
+    u, back = state[DIRECTION : DIRECTION + 3], 0.0
     share = min(1.0, (time - force[START]) / force[RISE]) if force[RISE] > 0.0 else 1.0
-    value = force[NEWTONS] * share + state[INTEGRAL]
-    if force[GAIN] > 0.0 and c.felt >= 0 and force[FOLLOW] == 0.0:
-        missing = 0.0
-        for i in range(3):
-            seen = u[i] * u[i] * row[c.felt + 6 + i]
-            missing += seen * force[NEWTONS] * share + u[i] * (row[c.felt + i] - state[FREE + i])
-        grown = state[INTEGRAL] + c.h * force[GAIN] * missing
-        state[INTEGRAL] = min(force[NEWTONS], max(-force[NEWTONS], grown))
-    if force[FOLLOW] > 0.0:
-        along, speed = 0.0, 0.0
-        for i in range(3):
-            along += u[i] * v[i]
-            speed += v[i] * v[i]
-        speed = math.sqrt(speed)
-        if along > 0.0:
-            turn_to(v, c.h * force[TURNING] * min(1.0, speed / CREEPING), u)
-        state[GONE] += c.h * along
-        missing = (force[SPEED] * share if state[GONE] < force[FAR] else 0.0) - along
-        state[INTEGRAL] = min(force[NEWTONS], max(0.0, state[INTEGRAL] + c.h * RAMP * missing))
-        value = min(force[NEWTONS], max(-force[NEWTONS], PULL * missing + state[INTEGRAL]))
     for i in range(3):
-        F[i] += value * u[i]
+        felt[i] = row[c.felt + i] - state[FREE + i] if c.felt >= 0 else 0.0
+        back -= u[i] * felt[i]
+    if force[FOLLOW] > 0.0:
+        follow(share, back, v, c, F)
+        return
+    wanted = force[NEWTONS] * share
+    if force[GAIN] > 0.0 and c.felt >= 0 and wanted > 0.0:
+        missing = -back
+        for i in range(3):
+            missing += u[i] * u[i] * row[c.felt + 6 + i] * wanted
+        touches = min(1.0, max(0.0, back / wanted)) if missing > 0.0 else 1.0
+        grown = state[INTEGRAL] + c.h * force[GAIN] * touches * missing
+        state[INTEGRAL] = min(force[NEWTONS], max(-force[NEWTONS], grown))
+    for i in range(3):
+        F[i] += (wanted + state[INTEGRAL]) * u[i]
+
+
+@internal
+def follow(share: float, back: float, v: Array, c: Compliance, F: Array) -> None:
+    """Pull at a speed along the direction, turn that to where the hand can move, and give way across it.
+
+    A way t that permits no other motion answers a pull f u by `-f (u - t t' u)`, of which the part across u,
+    `f (t' u) (t - u u' t)`, points to the way. So a hand that hardly moves turns u by the wrench that is felt, one that
+    moves by its velocity, and what is then felt across is the model's error: its integral is added to the pull.
+
+    Args:
+        share: Of the speed.
+        back: Of the wrench that is felt, in `work.b[4]`, against the direction [N].
+        v: (6,) twist of the hand.
+        c: The compliance.
+        F: (6,) its wrench.
+    """
+    force, state, felt = c.force, c.state, c.work.b[4]
+    u, across = state[DIRECTION : DIRECTION + 3], state[ACROSS : ACROSS + 3]
+    along, speed, stays, size = 0.0, 0.0, 0.0, 0.0
+    for i in range(3):
+        felt[i] += back * u[i]
+        along += u[i] * v[i]
+        speed += v[i] * v[i]
+    moves = min(1.0, math.sqrt(speed) / CREEPING)
+    if along > 0.0:
+        turn_to(v, c.h * force[TURNING] * moves, u)
+    if force[GAIN] > 0.0 and back > 0.0:
+        for i in range(3):
+            felt[i + 3] = u[i] + felt[i] / max(back, LEAST * force[NEWTONS])
+        turn_to(felt[3:], c.h * force[TURNING] * (1.0 - moves), u)
+    for i in range(3):
+        across[i] += c.h * force[GAIN] * felt[i]
+        stays += u[i] * across[i]
+    for i in range(3):
+        across[i] -= stays * u[i]
+        size += across[i] * across[i]
+    size = force[NEWTONS] / max(force[NEWTONS], math.sqrt(size))
+    state[GONE] += c.h * along
+    missing = (force[SPEED] * share if state[GONE] < force[FAR] else 0.0) - along
+    state[INTEGRAL] = min(force[NEWTONS], max(0.0, state[INTEGRAL] + c.h * RAMP * missing))
+    value = min(force[NEWTONS], max(-force[NEWTONS], PULL * missing + state[INTEGRAL]))
+    for i in range(3):
+        across[i] *= size
+        F[i] += value * u[i] + across[i]
 
 
 @compiled

@@ -13,7 +13,7 @@ from ..model.tip import jacobian_at, tip_of
 from ..model.tree.body import body_of, evaluate, new_work
 from ..signals import Array
 from .bound import Held, bound_of
-from .law import DIRECTION, FORCE, STATE, Compliance, HandScratch
+from .law import DIRECTION, FORCE, INTEGRAL, NEWTONS, SPEED, START, STATE, Compliance, HandScratch
 from .settings import Force, Impedance, require_not_negative
 
 LEAST_STIFFNESS, LEAST_ROTATION = 100.0, 5.0  # by which an axis without a spring is damped [N/m, N m/rad]
@@ -150,6 +150,26 @@ def soften(c: Compliance, stiffness: ArrayLike, damping: ArrayLike | None) -> No
         now, then = (np.maximum(each, LEAST_STIFFNESS) for each in (c.springs[:3], wanted))
         damping = c.dampers[:3] * np.sqrt(then / now)
     c.springs[:3], c.dampers[:3] = wanted, damping
+
+
+def set_force(c: Compliance, force: ArrayLike, time: float) -> None:
+    """Give a compliant hand another force (3,) in the world from a time [s] on [N]; one that comes anew rises.
+
+    Raises:
+        ConfigError: Numbers that are not finite, or a hand without a force.
+    """
+    wanted = np.array(force, float)
+    if wanted.shape != (3,) or not np.all(np.isfinite(wanted)):
+        raise ConfigError(f"a force of {wanted}", fix="use three finite numbers", key="force")
+    if not c.force[SPEED] > 0.0:
+        what, fix = "the hand has no force", "give StepperSettings(hand_force=Force(newtons=0.0)), or a table [force]"
+        raise ConfigError(what, fix=fix, key="force")
+    size, u = length(wanted), c.state[DIRECTION : DIRECTION + 3]
+    if size > 0.0:
+        if c.force[NEWTONS] == 0.0:
+            c.force[START], c.state[INTEGRAL] = max(float(c.force[START]), time), 0.0
+        u[:] = wanted / size
+    c.force[NEWTONS] = size
 
 
 def weights_of(J: Array, base: int, share: float) -> Array:

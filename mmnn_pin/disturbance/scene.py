@@ -30,6 +30,7 @@ from .settings import Window, of_type
 SLIDING = 0.005  # speed over which friction of a surface grows to its value [m/s]
 STOP = 2e3  # of a closed door [N m/rad], and what damps it [N m s/rad]
 STOP_DAMPING = 50.0
+HAND_DAMPING = 50.0  # of a hand that touches something, about [N s/m]
 TURNING = 0.02  # rate over which friction of a hinge grows to its value [rad/s]
 # Columns of the table of surfaces, and numbers of a door.
 NORMAL, STIFFNESS, DAMPING, FRICTION, START, END, SURFACE = 0, 3, 4, 5, 6, 7, 8
@@ -217,6 +218,21 @@ def touching(disturbances: Sequence[Any]) -> list[tuple[int, Any]]:
     return [*of_type(Surface, disturbances), *of_type(HingedDoor, disturbances)]
 
 
+def require_step(disturbances: Sequence[Any], dt: float) -> None:
+    """Refuse a spring that gives energy: held over a step it is as one whose damping is smaller by `k dt / 2`.
+
+    Raises:
+        ConfigError: That is more than its own damping and what a hand has.
+    """
+    for i, one in touching(disturbances):
+        is_door = isinstance(one, HingedDoor)
+        k, c, name = (one.grip, one.grip_damping, "grip") if is_door else (one.stiffness, one.damping, "stiffness")
+        most = 2.0 * max(c, HAND_DAMPING) / k
+        if dt > most:
+            why, key = f"held over a step of {1e3 * dt:g} ms it gives energy", f"disturbances.{i}.{name}"
+            raise ConfigError(f"{k:g} N/m", why=why, fix=f"use a time.plant_step of at most {most:.2g}", key=key)
+
+
 def touched_frame(disturbances: Sequence[Any], robot: Robot) -> str:
     """The frame that touches something in a run; empty where none does.
 
@@ -256,6 +272,7 @@ def scene_of(
     if not frame:
         return None
     found = [one for _, one in touching(disturbances)]
+    require_step(disturbances, dt)
     tip, p, done, state = tip_of(robot, frame), robot.dimensions.dof, state[:DONE], state[DONE:]
     hand = track(tip.chain, position[None])[0, 9:]
     c, s = cos_sin(float(position[2])) if robot.dimensions.base else (1.0, 0.0)

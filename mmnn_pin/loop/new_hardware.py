@@ -155,6 +155,12 @@ def task_of(loop: Setup, position: Array, on: Array, state: Array) -> Compliance
         raise ConfigError(what, why=why, fix='use kinematic.guide = "base"', key="kinematic.guide")
     layout = loop.layout
     felt = int(layout.where("external_wrench").start) if layout.touch else -1
+    if loop.force is not None and loop.touch is not None and loop.force.gain > 0.25 * loop.touch.bandwidth:
+        why, fix = f"what is felt lags by touch.bandwidth = {loop.touch.bandwidth:g} 1/s", "use at most"
+        fix += f" {0.25 * loop.touch.bandwidth:g}"
+        raise ConfigError(
+            f"{loop.force.gain:g} 1/s", why=f"{why}, and the force would swing", fix=fix, key="force.gain"
+        )
     held = Held(
         gains=stopping_gains(loop),
         rates=np.concatenate((np.zeros(layout.base), loop.kinematic.arm_gains(layout))),
@@ -220,6 +226,7 @@ def new_touch(loop: Setup, parts: list[Array], kinds: tuple[str, ...], steering:
         gains=stopping_gains(loop),
         gives=loop.safety is not None and loop.safety.contact == "comply",
         eases=loop.impedance is None,
+        loads=loop.force is None,
     )
     return new_feeler(touch, described, regressor_of(described), sending, new_state(parts))
 

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..compliance import Force, Impedance, soften
+from ..compliance import Force, Impedance, set_force, soften
 from ..elementary import hypot
 from ..elementary.arrays import is_below
 from ..elementary.matrices import product
@@ -537,6 +537,16 @@ class Stepper:
         if self.hardware.task is None:
             raise ConfigError("the hand is stiff", fix="give StepperSettings(impedance=Impedance())", key="impedance")
         soften(self.hardware.task, stiffness, damping)
+
+    def push(self, force: ArrayLike) -> None:
+        """Change the force with which a compliant hand pushes, (3,) in the world, from now on [N].
+
+        Raises:
+            ConfigError: The hand is stiff or has no force, or numbers that are not finite.
+        """
+        if self.hardware.task is None:
+            raise ConfigError("the hand is stiff", fix="give StepperSettings(impedance=Impedance())", key="impedance")
+        set_force(self.hardware.task, force, max(self.time, 0.0))
 
     def _command(self) -> None:
         """Fill the command from the row and from the servo rows."""

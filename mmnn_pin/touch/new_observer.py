@@ -38,6 +38,7 @@ class Sending(NamedTuple):
         gains: (p,) feedback on the velocities, by which small torques are measured.
         gives: Whether the robot gives way to contact.
         eases: Whether its feedback is eased back after that.
+        loads: Whether its hand may carry a load; one that pushes does not.
     """
 
     period: float
@@ -51,6 +52,7 @@ class Sending(NamedTuple):
     gains: Array
     gives: bool = False
     eases: bool = True
+    loads: bool = True
 
 
 def touch_shapes(
@@ -129,7 +131,8 @@ def new_feeler(touch: Touch, robot: Robot, regressor: Regressor, sending: Sendin
         gains=gains, floor=touch.unknown * gains,
         most=sending.most, E=sending.E, E_inv=sending.E_inv,
         motor=np.array([exp(-h / each) if each > 0.0 else 0.0 for each in sending.lag]), drag=sending.lag / h,
-        column=column_of(carrier, robot, regressor), carrier=carrier, moving=int(layout.base > 0), hand=place,
+        column=column_of(carrier, robot, regressor) if sending.loads else -1,
+        carrier=carrier, moving=int(layout.base > 0), hand=place,
         position=robot.neutral_position(), nu=np.zeros(p),
         vectors=np.zeros((7, p)), S=np.zeros((p, p)), L=np.zeros((p, p)), J=np.zeros((6, p)), X=np.zeros((6, p)),
         G=np.zeros((2, 6, 6)), wrench=np.zeros((2, 6)), state=state,

@@ -57,6 +57,7 @@ from ..signals import INDEX, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "shape"))
 NU_REF, NUDOT_REF, TORQUE = (INDEX[name] for name in ("nu_ref", "nudot_ref", "torque"))
+VELOCITY_REF, POSE_ERROR = INDEX["velocity_ref"], INDEX["pose_error"]
 EXTERNAL, BAND, WRENCH = INDEX["external_torque"], INDEX["external_band"], INDEX["external_wrench"]
 SEEN, CONTACT, LOADED = INDEX["wrench_seen"], INDEX["contact"], INDEX["load"]
 URDF, LEARNER, BOTH = range(3)
@@ -76,6 +77,7 @@ FORGETS = 0.3  # time over which what is felt is fitted [s]
 MISFIT = 0.1  # share of the squares that a load may leave
 REACH = 0.5  # how far from its joint a load may be [m]
 UNSURE = 0.2  # standard deviation of a load's share of r
+TURNS, ALIGNED = 2.0, 0.01  # how fast a base that stands is turned back [1/s], and what is left then [rad/s]
 GONE = 0.01  # share of what a robot stood against that is nothing
 CERTAIN = 1e-9  # of the information about a load, relative, below which it is none
 
@@ -681,9 +683,11 @@ def remember(row: Array, at: IntArray, psi_hat: Array, learned: bool, a: Feeler)
 def give_way(row: Array, at: IntArray, a: Feeler) -> None:
     """In contact a torque that gives way takes the place of the controller's, and then one that goes back slowly.
 
-    In contact the model carries the robot and a share of the feedback damps it, `tau = weight - yields K nu`. After it
-    the robot follows nu_ref, which leads it back to its reference, no faster than `back`, `tau = weight + K (nu_ref' -
-    nu)`; where nu_ref is slower the controller goes on.
+    In contact the model carries the robot and a share of the feedback damps it, `tau = weight - yields K nu`, which
+    grows to all of it while nothing is felt any more. After it the robot follows nu_ref, which leads it back to its
+    reference, no faster than a rate that grows to `back`, `tau = weight + K (nu_ref' - nu)`; where nu_ref is slower the
+    controller goes on.
+    The law of a pose on two wheels turns no base that stands, so that is turned back first.
 
     A robot that does not give way stands against the world by its feedback, which throws it where the world lets go:
     `tau += share (stood - r)` takes the place of what pushed and is no more, and fades.
@@ -699,13 +703,26 @@ def give_way(row: Array, at: IntArray, a: Feeler) -> None:
         for i in range(tau.size if share > 0.0 else 0):
             tau[i] += a.felt[i] * share * (s.stood[i] - row[at[EXTERNAL] + i])
         return
-    touched, slow = s.clock[TOUCHED] > 0.0, True
+    touched, turn = s.clock[TOUCHED] > 0.0, turning_back(row, at, a)
+    slow = abs(turn) <= ALIGNED
     for i in range(tau.size):
         slow = slow and abs(nu_ref[i]) <= n.back
     s.clock[GIVES] = 1.0 if touched or (s.clock[GIVES] > 0.0 and not slow) else 0.0
     if s.clock[GIVES] == 0.0:
         return
+    since = s.clock[CLEAR] / max(n.clear, n.h)
+    damps = n.yields + (1.0 - n.yields) * min(1.0, since) if touched else 1.0
+    most = 0.0 if touched else n.back * min(1.0, max(0.0, 0.5 * (since - 1.0)))
     for i in range(tau.size):
         if a.felt[i] > 0.0:
-            wish = 0.0 if touched else min(max(nu_ref[i], -n.back), n.back)
-            tau[i] = s.weight[i] + (n.yields if touched else 1.0) * a.gains[i] * (wish - a.nu[i])
+            wish = min(max(nu_ref[i] + (turn if i == 1 else 0.0), -most), most)
+            tau[i] = s.weight[i] + damps * a.gains[i] * (wish - a.nu[i])
+
+
+@internal
+def turning_back(row: Array, at: IntArray, a: Feeler) -> float:
+    """How fast a base on two wheels is to turn to its reference where that stands [rad/s]; 0 of any other."""
+    velocity_ref, error = view(row, at, VELOCITY_REF), view(row, at, POSE_ERROR)
+    if velocity_ref.size != 2 or a.body.shape.size > 0 or velocity_ref[0] != 0.0 or velocity_ref[1] != 0.0:
+        return 0.0
+    return TURNS * error[2]

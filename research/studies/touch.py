@@ -3,6 +3,7 @@
     python -m research.studies.touch learners [robot=ROBOT] [NAME ...]    5 s against a wall, then free: how far the
                                                                           hand is thrown
     python -m research.studies.touch reaction               time until contact is felt and largest force, on both plants
+    python -m research.studies.touch hard                   fifteen cases that should upset a hand that pushes
     python -m research.studies.touch loads                  loads taken for contacts and contacts for loads
 
 The arm of the robot goes against a wall with its reference `DEEP` behind the surface; nothing of the settings was
@@ -21,6 +22,8 @@ import numpy as np
 from mmnn_pin import Loop, Timing, Trajectory, load_experiment
 from mmnn_pin.disturbance import Payload
 from mmnn_pin.disturbance.scene import Surface
+from mmnn_pin.errors import InputError
+from mmnn_pin.lab.experiments.pushing import pushing_numbers
 from mmnn_pin.model.chain import chain_of, track
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.reference.joint import MinimumJerk
@@ -172,11 +175,44 @@ def loads(draws: int = 40) -> Iterator[str]:
         yield f"{what:8s}  {right:5d}  {wrong:19d}  {nothing:8d}"
 
 
+HARD = {
+    "a wall of 1e6 N/m": ("wipe", ["disturbances.0.stiffness=1e6"]),
+    "and steps of 0.2 ms": ("wipe", ["disturbances.0.stiffness=1e6", "time.plant_step=0.0002"]),
+    "commands 8 ms late": ("wipe", ["latency.command=0.008"]),
+    "20 ms late": ("wipe", ["latency.command=0.02"]),
+    "1e5 N/m, 8 ms late": ("wipe", ["disturbances.0.stiffness=1e5", "latency.command=0.008"]),
+    "encoders of 1 mrad": ("wipe", ["sensor.resolution=0.001", "sensor.velocity='difference'"]),
+    "a forearm of twice its weight": ("wipe", ["masses={arm_2_joint=2.0}"]),
+    "gain = 100": ("wipe", ["force.gain=100.0"]),
+    "a table that goes away": ("wipe", ["disturbances.0.end=4.0"]),
+    "a negative force": ("wipe", ["force.newtons=-20.0"]),
+    "a stiffness of 1e6 N/m": ("wipe", ["impedance.stiffness=1e6"]),
+    "a handle of 1e6 N/m": ("door", ["disturbances.0.grip=1e6"]),
+    "a door, 8 ms late": ("door", ["latency.command=0.008"]),
+    "a door of 200 kg m^2": ("door", ["disturbances.0.inertia=200.0"]),
+    "a door, first guess 75 degrees off": ("door", ["force.along=[-0.26, 0.97, 0.0]"]),
+}
+
+
+def hard() -> Iterator[str]:
+    """A line per case that should upset a hand that pushes: what it did, or the line that refuses it."""
+    for words, (name, changes) in HARD.items():
+        try:
+            made = load_experiment(name, ["plant=ideal", *changes])
+            run = made.loop(made.load_robot(), "pd_gravity").run()
+        except InputError as error:
+            yield f"{words:36s} refused: {error}"
+            continue
+        numbers = pushing_numbers(run, made.load_robot())
+        told = ", ".join(f"{key} {value:.3g}" for key, value in numbers.items() if value is not None)
+        yield f"{words:36s} {run.outcome.status}: {told}, peak {np.linalg.norm(run['hand_force'], axis=1).max():.3g} N"
+
+
 def main() -> None:
     """Print the table that is asked for, line by line."""
     what, *names = sys.argv[1:] or ["learners"]
-    lines = learners(names) if what == "learners" else reaction() if what == "reaction" else loads()
-    for line in lines:
+    tables = {"learners": lambda: learners(names), "reaction": reaction, "loads": loads, "hard": hard}
+    for line in tables[what]():
         print(line, flush=True)
 
 

@@ -11,11 +11,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import load
-from mmnn_pin.compliance import Force, Held, Impedance, bound_of, compliance_of, compliance_size, give, soften, wish
+from mmnn_pin.compliance import (
+    Force,
+    Held,
+    Impedance,
+    bound_of,
+    compliance_of,
+    compliance_size,
+    give,
+    set_force,
+    soften,
+    wish,
+)
 from mmnn_pin.compliance.bound import radius
-from mmnn_pin.compliance.law import admit, displacement, springs_and_dampers
+from mmnn_pin.compliance.law import DIRECTION, INTEGRAL, admit, displacement, push, springs_and_dampers
 from mmnn_pin.disturbance import Forces, HingedDoor, Push, Surface, scene_of, scene_size, touched_frame
-from mmnn_pin.disturbance.scene import DONE
+from mmnn_pin.disturbance.scene import DONE, require_step
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
@@ -29,6 +40,7 @@ from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
+from mmnn_pin.touch import Touch
 
 RNG = np.random.default_rng(5)
 ROBOT = load("platform_arm")
@@ -322,6 +334,77 @@ def test_a_door_about_an_unknown_hinge_is_opened_along_its_way():
     assert np.linalg.norm(sideways, axis=1)[angle < math.radians(60)].max() < 15.0
 
 
+def pulled(degrees, error=(0.0, 0.0, 0.0), speed=0.0, seconds=3.0):
+    """A hand that follows a way ahead that permits no other motion, with a first guess by an angle off it.
+
+    It stands there or moves at a speed; the world answers across the way, to the torques' error, too.
+    """
+    way, angle = np.array([1.0, 0.0, 0.0]), math.radians(degrees)
+    along = (math.cos(angle), math.sin(angle), 0.0)
+    force = Force(along=along, start=0.0, rise=0.0, follow=True, gain=10.0, newtons=40.0, speed=0.2)
+    c, row, sent = made(force=force, felt=0), np.zeros(12), np.zeros(6)
+    for k in range(round(seconds / H)):
+        answer = -(sent[:3] + error)
+        row[:3] = answer - way * (way @ answer)
+        sent[:] = 0.0
+        push(row, H * k, np.array([*(speed * way), 0.0, 0.0, 0.0]), c, sent)
+    return c.state, sent[:3]
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, -75.0])
+def test_a_hand_that_stands_finds_the_way_by_the_wrench(degrees):
+    """What it pulls with is along the way; its direction has gone more than halfway there, the integral the rest."""
+    state, sent = pulled(degrees)
+    assert sent[0] > 10.0 and np.abs(sent[1:]).max() < 0.02 * sent[0]
+    assert math.acos(min(1.0, state[DIRECTION])) <= 0.5 * math.radians(abs(degrees))
+
+
+@pytest.mark.parametrize("error", [(0.0, 8.0, -20.0), (0.0, -3.0, 5.0)])
+def test_a_hand_that_moves_gives_way_to_the_error_across_its_way(error):
+    """The force across is the model's error, and its integral takes it away; the way is that of the velocity."""
+    state, sent = pulled(30.0, np.array(error), speed=0.15)
+    np.testing.assert_allclose(state[DIRECTION : DIRECTION + 3], (1.0, 0.0, 0.0), atol=1e-6)
+    np.testing.assert_allclose(sent[1:], -np.array(error)[1:], atol=0.05)
+
+
+def test_the_integral_of_a_force_waits_for_the_contact():
+    c, row, F = (
+        made(force=Force(along=(0.0, 0.0, -1.0), start=0.0, rise=0.0, gain=10.0), felt=0),
+        np.zeros(12),
+        np.zeros(6),
+    )
+    row[6:] = 1.0
+    for k in range(1000):
+        push(row, H * k, np.zeros(6), c, F)
+    assert c.state[INTEGRAL] == 0.0  # nothing pushes back: the hand is on its way
+    row[2] = 10.0  # half of 20 N: grows by gain times half of what is missing
+    push(row, 1.0, np.zeros(6), c, F)
+    assert c.state[INTEGRAL] == pytest.approx(H * 10.0 * 0.5 * 10.0)
+
+
+def test_another_force_is_asked_on_the_way():
+    c = made(force=Force(newtons=0.0, start=1.0, rise=0.5, along=(1.0, 0.0, 0.0)))
+    row, wrench = np.zeros(12), np.zeros(6)
+
+    def sent(time):
+        wrench[:] = 0.0
+        push(row, time, np.zeros(6), c, wrench)
+        return wrench[:3].copy()
+
+    assert not sent(2.0).any()
+    set_force(c, (0.0, 3.0, -4.0), 2.0)
+    np.testing.assert_allclose(sent(2.25), (0.0, 1.5, -2.0))  # in the middle of its rise
+    set_force(c, (0.0, 0.0, -4.0), 2.25)
+    np.testing.assert_allclose(sent(3.0), (0.0, 0.0, -4.0))
+    set_force(c, np.zeros(3), 3.0)
+    assert not sent(3.1).any()
+    for wrong, words in (((math.nan, 0.0, 0.0), "finite"), ((1.0, 2.0), "three")):
+        with pytest.raises(ConfigError, match=words):
+            set_force(c, wrong, 0.0)
+    with pytest.raises(ConfigError, match="no force"):
+        set_force(made(), (1.0, 0.0, 0.0), 0.0)
+
+
 def test_the_bound_is_where_the_sampled_loop_turns_unstable():
     """A mass on a held, late spring and damper: its own eigenvalues by numpy, without our blocks."""
     h, m, K, D, late = 0.01, 2.0, 400.0, 10.0, 1
@@ -370,6 +453,12 @@ def test_an_admittance_moves_its_mass_by_what_is_felt():
         (lambda: Surface(normal=(0.0, 0.0, 0.0)), "no direction"),
         (lambda: Surface(stiffness=0.0), "> 0"),
         (lambda: HingedDoor(hinge=(0.0, 0.01)), "0.05"),
+        (
+            lambda: require_step((Surface(stiffness=1e6),), 1e-3),
+            "gives energy: use a time.plant_step of at most 0.0002",
+        ),
+        (lambda: require_step((HingedDoor(grip=1e6),), 1e-3), "disturbances.0.grip"),
+        (lambda: still(DEFAULT, force=Force(gain=20.0), touch=Touch()).run(), "use at most 12.5"),
         (lambda: touched_frame((HingedDoor(), HingedDoor()), ROBOT), "second door"),
         (lambda: touched_frame((Surface(frame="arm_tip"), Surface(frame="base_link")), ROBOT), "beside"),
         (

@@ -25,6 +25,7 @@ from mmnn_pin.loop.loop import Loop
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.base.holonomic import HolonomicBase
 from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.reduction import COULOMB_SPEED
 from mmnn_pin.plant.contact.feet import Contact, Patch, feet_of
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold, Line, Sine, Trajectory
@@ -550,6 +551,24 @@ def test_wheels_with_rollers_answer_as_they_do_on_the_ideal_plant(direction: int
     ideal, contact = velocities
     assert abs(ideal[direction]) > 0.02
     np.testing.assert_allclose(contact, ideal, atol=0.005 * abs(ideal[direction]))
+
+
+def test_friction_of_rollers_lets_no_base_tremble() -> None:
+    """Two steps of the engine for one of the plant hid a base that swung to and fro between them."""
+    this, steps = load("tiago_pro"), []
+    plant = ContactPlant(this, 0.0005, "euler", Contact(casters="soft"))
+    plant.start(this.neutral_position(), np.zeros(this.dimensions.dof))
+    push = this.gravity(this.neutral())
+    push[2] += 5.0
+    for _ in range(100):
+        plant.step(push)
+        plant.refresh()
+        steps.append(plant.nu[:3].copy())
+    turning = np.array(steps)[50:, 2]
+    assert np.abs(np.diff(turning)).max() < 1e-3 * np.abs(turning).max()
+    wheels = this.T[[this.rows[wheel.joint] for wheel in this.base.wheels], :3]
+    dry = np.abs(wheels[:, 2]) @ this.dry[[this.rows[wheel.joint] for wheel in this.base.wheels], 0]
+    assert COULOMB_SPEED * np.arctanh(5.0 / dry) == pytest.approx(turning[-1] * np.abs(wheels[0, 2]), rel=0.05)
 
 
 def test_an_inertia_that_no_body_can_have_is_refused() -> None:

@@ -25,7 +25,7 @@ from mmnn_pin.safety import Safety
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.touch import Touch, feel
-from mmnn_pin.touch.observer import COUNT, TIME, find_wrench
+from mmnn_pin.touch.observer import COUNT, ELAPSED, FORGETS, TIME, find_wrench, fit_load, is_load
 
 SOFT = Feedback(100.0, (5.0, 1.0))
 SLOW = bool(config.DISABLE_JIT)
@@ -150,6 +150,68 @@ def test_the_threshold_is_a_rate_of_false_alarms():
     seen = [one.recording for one in runs]  # a last body that is too heavy is felt as a load
     felt = np.mean([np.maximum(one["contact"], one["load"] > 0.0)[75:].mean() for one in seen])
     assert abs(felt - rate) < 3.0 * np.sqrt(rate * (1.0 - rate) / len(runs)), felt
+
+
+def weighed(observer, mass, centre, noise=0.0, samples=40):
+    """Samples of what a load brings in random postures, into the fit; whether it is one, and all that was told."""
+    rng, s, p, told = np.random.default_rng(4), observer.state, observer.nu.size, []
+    s.fit[:], s.clock[ELAPSED] = 0.0, 0.01
+    for _ in range(samples):
+        s.brings[:] = rng.normal(size=(4, p))
+        raw = s.brings.T @ (mass * np.array([1.0, *centre])) + noise * rng.normal(size=p)
+        told.append((s.brings.copy(), raw))
+        fit_load(raw, np.zeros(p), observer)
+    return is_load(observer), told
+
+
+def test_a_load_is_the_least_squares_of_what_is_felt_fading_in_the_metric_of_the_band():
+    """The closed form by numpy of all samples at once: `(sum k Y S^-1 Y')^-1 sum k Y S^-1 r`."""
+    observer = somewhere(touching(PD(), robot=load("platform_arm"), trajectory=Trajectory.of(load("platform_arm"))))[0]
+    observer.felt[:] = 1.0
+    found, told = weighed(observer, 0.4, (0.1, -0.05, 0.02), noise=0.02)
+    keep = np.exp(-0.01 / FORGETS) ** np.arange(len(told))[::-1]
+    inverse = np.linalg.inv(observer.S)
+    A = sum(k * Y @ inverse @ Y.T for k, (Y, _) in zip(keep, told, strict=True))
+    b = sum(k * Y @ inverse @ r for k, (Y, r) in zip(keep, told, strict=True))
+    assert found
+    np.testing.assert_allclose(observer.state.load, np.linalg.solve(A, b), rtol=1e-5)
+    np.testing.assert_allclose(observer.state.load[0], 0.4, rtol=0.1)
+
+
+def test_a_load_weighs_something_no_more_than_the_arm_and_lies_within_reach():
+    observer = somewhere(touching(PD()))[0]
+    heaviest = observer.numbers.heaviest
+    assert heaviest == pytest.approx(load_mass(thesis_robot()))
+    for mass, centre, wanted in (
+        (0.99 * heaviest, (0.1, 0.0, 0.0), True),
+        (1.01 * heaviest, (0.1, 0.0, 0.0), False),
+        (-0.1, (0.1, 0.0, 0.0), False),
+        (0.5 * heaviest, (0.49, 0.0, 0.0), True),
+        (0.5 * heaviest, (0.51, 0.0, 0.0), False),
+    ):
+        assert weighed(observer, mass, centre)[0] == wanted, (mass, centre)
+
+
+def load_mass(robot):
+    """What the bodies of the arm weigh, by Pinocchio [kg]."""
+    names = list(robot.model.names)
+    return sum(robot.model.inertias[names.index(name)].mass for name in robot.joint_names)
+
+
+def test_a_second_contact_while_the_first_is_felt_is_felt_beside_it_and_is_no_new_one():
+    """Two pushes that overlap: both forces are told, there is one contact, and what was learned goes back once."""
+    first, second = (
+        Push(on="arm_1_joint", force=3.0, start=0.02),
+        Push(on="arm_2_joint", force=-2.0, start=0.1, end=0.16),
+    )
+    touch = Touch(bandwidth=500.0, masses=0.0, friction=0.0, torque=0.0, unknown=1e-3, clear=0.02)
+    run = touching(touch=touch, disturbances=(first, second), duration=0.2, check_gains=False).run()
+    felt, t = np.ravel(run["contact"]) > 0.0, run["time"]
+    assert felt[t > 0.03].all() and not felt[t < 0.019].any()
+    both = (t > 0.13) & (t < 0.159)
+    np.testing.assert_allclose(run["external_torque"][both], np.tile([0.0, 0.0, 3.0, -2.0], (both.sum(), 1)), atol=0.02)
+    alone = t > 0.19
+    np.testing.assert_allclose(run["external_torque"][alone, 2:], np.tile([3.0, 0.0], (alone.sum(), 1)), atol=0.02)
 
 
 def test_alarms_are_a_quantile_of_chi_squared():

@@ -1,7 +1,8 @@
-"""Setpoints of a hand out of the graph: where it is to be, how it is to move, how stiff it is to be.
+"""Setpoints of a hand out of the graph: where it is to be, how it is to move, push and give way.
 
 ~/hand/pose        geometry_msgs/PoseStamped      in the odometry's frame, the map's or another one of `/tf`
 ~/hand/twist       geometry_msgs/TwistStamped     likewise, or in the hand's own frame, by `frame_id`
+~/hand/force       geometry_msgs/WrenchStamped    force on the world, likewise, where the experiment has [force]
 ~/hand/stiffness   std_msgs/Float64MultiArray     k, or kx ky kz [N/m]; dx dy dz [N s/m] behind them
 """
 
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rclpy.node import Node as RosNode
 from std_msgs.msg import Float64MultiArray
 
@@ -22,6 +23,7 @@ from ...loop.stepper import Stepper
 from ...model.chain import hands_of
 from ...reference.hand import HandWish, Task, WholeBody, WishedCourse
 from ...reference.wishes import Wish
+from ...signals import Array
 from .inlets import Inlet
 from .mapped import MappedRoute
 from .sensing import Clock, Planar, quaternion
@@ -59,8 +61,10 @@ class HandAsking:
         self.pose = listened("~/hand/pose", PoseStamped)
         self.twist = listened("~/hand/twist", TwistStamped)
         self.stiffness = listened("~/hand/stiffness", Float64MultiArray) if soft is not None else None
+        self.force = listened("~/hand/force", WrenchStamped) if stepper.setup.force is not None else None
+        self.pushed = math.inf  # when the last force came [s]
         self._rehearse()
-        self.inlets = [one for one in (self.pose, self.twist, self.stiffness) if one is not None]
+        self.inlets = [one for one in (self.pose, self.twist, self.stiffness, self.force) if one is not None]
 
     def _rehearse(self) -> None:
         """Lead the hand where it stands at rest, and forget it: the first time compiles."""
@@ -91,6 +95,7 @@ class HandAsking:
     def poll(self, clock: Clock) -> tuple[Wish, ...]:
         """The wish, where something came and it is not followed yet."""
         came = self._soften()
+        self._press(clock)
         for inlet, read in ((self.pose, self._place), (self.twist, self._move)):
             if (message := inlet.newest()) is not None:
                 when = clock.measured(message.header.stamp, self.settings.hand.age)
@@ -132,8 +137,10 @@ class HandAsking:
         self.wish.go((x + c * at.x - s * at.y, y + s * at.x + c * at.y, at.z), turned)
 
     def _move(self, message: Any) -> None:
-        linear, angular = message.twist.linear, message.twist.angular
-        halves = np.array([[linear.x, linear.y, linear.z], [angular.x, angular.y, angular.z]])
+        self.wish.move(self._turned(message, message.twist.linear, message.twist.angular).ravel())
+
+    def _turned(self, message: Any, *vectors: Any) -> Array:
+        """(k, 3) vectors of a message in the odometry's axes."""
         if message.header.frame_id == self.frame:
             seen = self.stepper.measured
             R = self.stepper.robot.placement(self.frame, np.concatenate((seen.pose, seen.shape, seen.q)))[:3, :3]
@@ -141,7 +148,28 @@ class HandAsking:
             turn = self._frame(message.header.frame_id)[2]
             c, s = math.cos(turn), math.sin(turn)
             R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        self.wish.move(product(halves, R.T).ravel())
+        return product([[one.x, one.y, one.z] for one in vectors], R.T)
+
+    def _press(self, clock: Clock) -> None:
+        """Push as the newest message says, and with nothing once it is old."""
+        if self.force is None:
+            return
+        if (message := self.force.newest()) is not None:
+            when = clock.measured(message.header.stamp, self.settings.hand.age)
+            why = when if isinstance(when, str) else self._tried(self._push, message)
+            if why:
+                self.force.refuse(why)
+            elif not isinstance(when, str):
+                self.pushed = when
+        elif clock.now - self.pushed > self.settings.setpoint_timeout:
+            self.stepper.push(np.zeros(3))
+            self.pushed = math.inf
+
+    def _push(self, message: Any) -> None:
+        moment = message.wrench.torque
+        if (moment.x, moment.y, moment.z) != (0.0, 0.0, 0.0):
+            raise ConfigError("a moment", fix="send a force alone", key="hand")
+        self.stepper.push(self._turned(message, message.wrench.force)[0])
 
     def _soften(self) -> bool:
         """Take another stiffness; false, as it asks for no motion."""

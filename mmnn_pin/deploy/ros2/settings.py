@@ -185,7 +185,7 @@ class PlannedPath(Heard, frozen=True):
 
 
 class HandTopics(Heard, frozen=True):
-    """Setpoints of the hand: `~/hand/pose`, `~/hand/twist` and, of a hand that gives way, `~/hand/stiffness`.
+    """Setpoints of the hand: `~/hand/pose`, `~/hand/twist`; where it gives way `~/hand/stiffness`, `~/hand/force`.
 
     Args:
         listen: Whether they are listened to; none: where the experiment has `[impedance]`.

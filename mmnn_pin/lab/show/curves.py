@@ -25,6 +25,7 @@ CurvePoints = tuple[Array, Array]  # times and values, (N,) each
 Curves = Mapping[str, CurvePoints]  # by run
 
 NETWORKS = ("base", "arm")
+FELT = 1.0  # of a wrench's axis, below which it says nothing [N, N m]
 RESIDUALS = {
     "constraint_residual": ("wheels' constraint", "mm/s", 1e3),
     "energy_residual": ("energy balance", "mJ", 1e3),
@@ -185,12 +186,18 @@ def gains(recordings: Recordings) -> Iterator[Panel]:
         yield replace(panel, group="base" if panel.label in on_base else "arm", step=True)
 
 
-@chart("touch", "Touch", "What the motors say of the world that pushes, and whether that is a contact.")
+@chart("touch", "Touch", "What is felt of the world: contact, wrench of the hand, and torques that leave their band.")
 def touch(recordings: Recordings) -> Iterator[Panel]:
-    """External torque on every velocity, the wrench of the hand, and contact."""
-    for signal, words in (("external_torque", "on"), ("external_wrench", "hand"), ("contact", "")):
-        for panel in signal_panels(recordings, signal):
-            yield replace(panel, title=f"{words} {panel.label}".strip(), group=words)
+    """Contact, the axes of the wrench that are felt, and the external torques that are ever three times their band."""
+    yield from (replace(panel, group="hand") for panel in signal_panels(recordings, "contact"))
+    for panel in signal_panels(recordings, "external_wrench"):
+        if any(np.abs(values).max(initial=0.0) > FELT for _, values in panel.curves.values()):
+            yield replace(panel, title=f"hand {panel.label}", group="hand")
+    bands = {panel.label: panel.curves for panel in signal_panels(recordings, "external_band")}
+    for panel in signal_panels(recordings, "external_torque"):
+        band = bands[panel.label]
+        if any(np.any(np.abs(felt) > 3.0 * band[name][1]) for name, (_, felt) in panel.curves.items()):
+            yield replace(panel, title=f"on {panel.label}", group="on")
 
 
 @chart("weights", "Norms of the weights", "Frobenius norm of all weights of a network.")

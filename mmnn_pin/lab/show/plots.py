@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-STACKED = ("hand", "force", "touch", "weights", "residuals")  # charts whose panels stand above each other, without more
+STACKED = ("hand", "force", "weights", "residuals")  # charts whose panels stand above each other, without more
 PANELS_PER_COLUMN = 4
 LEARNERS_BESIDE = 5
 NOTE_ROOM = 0.2  # share of an axes' height that is free above the curves for a note
@@ -100,6 +100,13 @@ def draw_effort_limit(axes: Axes, limit: float, unit: str) -> None:
     for side in (-limit, limit):
         axes.axhline(side, color="0.25", linewidth=0.9, linestyle=(0, (4, 3)))
     axes.set_ylim(min(lower, -1.1 * limit), max(upper, 1.1 * limit))
+
+
+@figure("touch", needs=signals("contact"))
+def touch_figure(recordings: Recordings) -> Figure:
+    """Contact and wrench of the hand, beside the external torques that leave their band."""
+    groups = {"hand": "Hand", "on": "Torque of the world, on"}
+    return overlay("Touch", recordings, columns_of(groups, curves.touch(recordings)))
 
 
 @figure("psi", needs=signals("psi_hat"))

@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 
 from ...elementary import arrays, atan2, cos, cos_sin, hypot, sin
+from ...elementary.matrices import solve
 from ...model.base.steered import SteeredBase
-from ...model.reduction import COULOMB_SPEED, friction
+from ...model.reduction import COULOMB_SPEED
 from ...model.robot import Robot
 from ...signals import Array
 from .pivots import Pivots
+from .tree import engine
 
+ROUNDS = 4  # of friction at the end of a step
 TOUCH = 1e-7  # how far the feet start in the floor, so that contacts exist from the first step on [m]
 
 
@@ -89,13 +92,17 @@ class FreeBase:
         else:
             wrench[:] = self.pivots.wrench(force)
             self.pivots.push(data, force)
-        forward, left, turning = wrench
-        c, s = cos_sin(motion.pose[2])
-        push = np.array([c * forward - s * left, s * forward + c * left, 0.0])
-        moment = cross(motion.lever, push)
-        moment[2] += turning
-        data.qfrc_applied[:3] += push
-        data.qfrc_applied[3:6] += motion.rotation.T @ moment
+        data.qfrc_applied[:6] += on_root(motion, wrench)
+
+
+def on_root(motion: BaseMotion, wrench: Array) -> Array:
+    """(6,) what a wrench (3,) at the control frame, forward, to the left, about the vertical, is on the free joint."""
+    forward, left, turning = wrench
+    c, s = cos_sin(motion.pose[2])
+    push = np.array([c * forward - s * left, s * forward + c * left, 0.0])
+    moment = cross(motion.lever, push)
+    moment[2] += turning
+    return np.hstack((push, motion.rotation.T @ moment))
 
 
 def rotation(quaternion: Array) -> Array:
@@ -124,6 +131,10 @@ def cross(a: Array, b: Array) -> Array:
 class ContactFriction:
     """Friction of a robot: in the joints as a damping, which MuJoCo's Euler takes implicitly, on the base as a force.
 
+    That of wheels with rollers is as steep as that of joints, and would make a base that stands tremble, so it is that
+    at the end of an Euler step. With W of the base's inertia over a step, `v+ = v* - W F` and `F = B v+`, where v* is
+    how the base would go on without it, as it did in the last step: `v* = 2 v - v_last + W F_last`. B falls with v+.
+
     Args:
         robot: The robot.
         moving: (k,) places of the moving joints in the velocities of our model.
@@ -139,43 +150,63 @@ class ContactFriction:
         self.damping, self.dry = (robot.damping + viscous)[moving], robot.dry[moving]
         self.on, self.base = base, robot.viscous[: robot.dimensions.base]
         self.held = False
-        self.has_coulomb, self.has_breakaway = self.dry[:, :2].any(axis=0).tolist()
+        self.has_coulomb = bool(self.dry[:, :2].any())
         self.on_base = bool(self.base.any())
-        self.robot, self.rolling, self.rows = robot, np.zeros((0, 0)), np.zeros(0, int)
+        self.rolling, self.wheels = np.zeros((0, len(self.base))), (np.zeros(0), np.zeros((0, 3)))
+        self.h = 0.0
+        self.last: tuple[Array, Array] | None = None  # velocity of the base before the last step, and friction in it
         model.dof_damping[at] = self.damping
 
-    def roll(self, T: Array, rows: Array) -> None:
-        """Take the friction of wheels with rollers for the base's: of joints in these rows of all, T (wheels, p)."""
-        self.rolling, self.rows, self.on_base = T, rows, True
+    def roll(self, robot: Robot, rows: Array, h: float) -> None:
+        """Take the friction of wheels with rollers, the joints in these rows of all, for the base's, over steps h [s].
 
-    def resistance(self, motion: BaseMotion) -> Array:
-        """(nb,) friction of the base at its velocity [N, N m]."""
-        found = self.base * motion.nu
-        if self.rows.size:
-            robot, nb = self.robot, motion.nu.size
-            T, F = np.ascontiguousarray(self.rolling[:, :nb]), np.zeros(nb)
-            v = T @ motion.nu
-            friction(T, v, motion.nu, robot.damping[self.rows], robot.dry[self.rows], np.zeros(nb), F)
-            found = found + F
-        return found
+        With h = 0 it is that at the beginning of a step, as other methods ask for it.
+        """
+        self.rolling, self.h, self.on_base = robot.T[rows, : robot.dimensions.base], h, True
+        self.wheels = robot.damping[rows], robot.dry[rows]
+
+    def resistance(self, data: Any, motion: BaseMotion) -> Array:
+        """(nb,) friction of the base over the next step [N, N m]."""
+        if not self.h or self.last is None:
+            return self.slope(motion.nu) @ motion.nu
+        rows, one = np.zeros((motion.nu.size, self.model.nv)), np.eye(motion.nu.size)
+        rows[:, :6] = [on_root(motion, each) for each in one]
+        answers = np.zeros_like(rows)
+        engine().mj_solveM(self.model, data, answers, rows)
+        W, (before, F) = self.h * rows @ answers.T, self.last
+        goes, ends = 2.0 * motion.nu - before + W @ F, motion.nu
+        for _ in range(ROUNDS):
+            B = self.slope(ends)
+            ends = solve(one + W @ B, goes)
+        return B @ ends
+
+    def slope(self, nu: Array) -> Array:
+        """(nb, nb) friction of the base over its velocities (nb,)."""
+        wheels = self.rolling
+        return np.asarray(np.diag(self.base) + wheels.T @ np.diag(damping_of(wheels @ nu, *self.wheels)) @ wheels)
 
     def apply(self, data: Any, motion: BaseMotion | None, hold: Array) -> None:
         """Write damping, and add the force on the base, for the next step; hold (k,) is friction of blocked joints."""
         if self.has_coulomb or hold.any() or self.held:
             self.held = bool(hold.any())
-            v = data.qvel[self.at]
-            slow = np.abs(v) < 1e-6 * COULOMB_SPEED
-            level = hold + self.dry[:, 0]
-            if self.has_breakaway:
-                level = level + self.dry[:, 1] * arrays.exp(-((v / self.dry[:, 2]) ** 2))
-            ratio = arrays.tanh(v / COULOMB_SPEED) / np.where(slow, 1.0, v)
-            self.model.dof_damping[self.at] = self.damping + level * np.where(slow, 1 / COULOMB_SPEED, ratio)
+            self.model.dof_damping[self.at] = damping_of(data.qvel[self.at], self.damping, self.dry, hold)
         if self.on_base and self.on is not None and motion is not None:
-            self.on.push(data, motion, -self.resistance(motion))
+            force = self.resistance(data, motion)
+            self.last = motion.nu.copy(), force
+            self.on.push(data, motion, -force)
 
     def power(self, data: Any, motion: BaseMotion | None) -> float:
         """Power that friction takes at this velocity [W]."""
         lost = float(self.model.dof_damping[self.at] @ data.qvel[self.at] ** 2)
-        if self.on_base and motion is not None:
-            lost += float(sum(self.resistance(motion) * motion.nu))
+        if self.last is not None and motion is not None:
+            lost += float(sum(self.last[1] * motion.nu))
         return lost
+
+
+def damping_of(v: Array, damping: Array, dry: Array, hold: Array | float = 0.0) -> Array:
+    """(k,) friction of joints over their velocities (k,), dry (k, 3) as in `dry_level`, and of blocked ones."""
+    slow, level = np.abs(v) < 1e-6 * COULOMB_SPEED, hold + dry[:, 0]
+    if dry[:, 1].any():
+        level = level + dry[:, 1] * arrays.exp(-((v / dry[:, 2]) ** 2))
+    ratio = arrays.tanh(v / COULOMB_SPEED) / np.where(slow, 1.0, v)
+    return np.asarray(damping + level * np.where(slow, 1 / COULOMB_SPEED, ratio))

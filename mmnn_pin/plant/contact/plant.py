@@ -193,7 +193,7 @@ class ContactPlant:
         T = robot.T[rows, :3]
         model.dof_armature[:2] = np.mean(turning @ T[:, :2] ** 2)
         model.dof_armature[5] = turning @ T[:, 2] ** 2
-        self.friction.roll(np.ascontiguousarray(robot.T[rows]), rows)
+        self.friction.roll(robot, rows, 0.0 if self.method == "rk4" else self.h)
 
     def start(self, position: Array, nu: Array) -> None:
         """Put the robot level on the floor at a position (nv,), rolling with nu (p,), no work done.
@@ -206,7 +206,7 @@ class ContactPlant:
         data.qpos[self.at_q], data.qvel[self.at_v] = position[self.moving], v[self.moving]
         if self.base is not None:
             self.base.place(position[:3], v[:3], data.qpos[:7], data.qvel[:6])
-        self.position[:], self.y[-1], self.traction[:] = position, 0.0, 0.0
+        self.position[:], self.y[-1], self.traction[:], self.friction.last = position, 0.0, 0.0, None
         self._read()
         self.refresh()
 

@@ -20,6 +20,7 @@ from mmnn_pin.deploy.identify.payload import payload
 from mmnn_pin.errors import RecordingError, UnknownName
 from mmnn_pin.model.robot import Robot, carrying
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.plant.contact.plant import ContactPlant
 from mmnn_pin.signals import Array
 
 TRUE = np.array([0.103, 0.0985, 0.52])
@@ -28,6 +29,45 @@ TRUE = np.array([0.103, 0.0985, 0.52])
 @pytest.fixture(scope="module")
 def base() -> Robot:
     return load("platform_arm")
+
+
+def square_by_contact(robot: Robot, turn: int, side: float = 0.5, leg: float = 1.0, period: float = 0.002) -> Log:
+    """A square of a base on MuJoCo's floor, to the left or right, leg by leg; 1 mm and 1 mrad of noise."""
+    plant, seen, angles = ContactPlant(robot, period), [], []
+    plant.start(robot.neutral_position(), np.zeros(robot.dimensions.dof))
+    wheels = [next(w for w in robot.base.wheels if (w.y > 0) == left) for left in (True, False)]
+    rates = [robot.full_velocity_names.index(w.joint) for w in wheels]
+    places = [robot.position_names.index(w.joint) for w in wheels]
+    for k in range(int(8 * leg / period)):
+        part, s = divmod(k * period, leg)
+        wish = np.array([side, 0.0] if part % 2 == 0 else [0.0, turn * np.pi / 2])
+        wish = wish * 30 * (s / leg) ** 2 * (1 - s / leg) ** 2 / leg
+        rims = np.array([w.sign * w.radius * plant.velocity[i] for w, i in zip(wheels, rates, strict=True)])
+        nu = np.array([rims.mean(), (rims[1] - rims[0]) / robot.base.track])
+        arm = -20 * plant.position[robot.arm_index] - 4 * plant.nu[2:]
+        plant.step(np.concatenate((np.array([300.0, 30.0]) * (wish - nu), arm)))
+        if k % 10 == 0:
+            angles.append([w.sign * plant.position[i] for w, i in zip(wheels, places, strict=True)])
+            seen.append(plant.position[:3].copy())
+    pose = np.array(seen) + 1e-3 * np.random.default_rng(turn + 1).standard_normal((len(seen), 3))
+    position = {w.joint: w.sign * np.array(angles)[:, i] for i, w in enumerate(wheels)}
+    reference = dict(zip(("x", "y", "phi"), pose.T, strict=True))
+    return Log.of(10 * period * np.arange(len(seen)), position, {}, reference=reference)
+
+
+def test_squares_both_ways_on_the_contact_plant_tell_radii_and_track(base: Robot, tmp_path: Path) -> None:
+    """UMBmark (Borenstein, Feng 1996): where the wheels touch is MuJoCo's to say, and the file has other wheels."""
+    pytest.importorskip("mujoco")
+    true, text = np.array([0.075, 0.075, 0.342]), base.urdf
+    left, right = (text.index(f'<link name="wheel_{side}">') for side in ("left", "right"))
+    parts = zip((text[:left], text[left:right], text[right:]), (0.075, 0.0765, 0.0738), strict=True)
+    sized = (part.replace('radius="0.075"', f'radius="{radius}"') for part, radius in parts)
+    (tmp_path / "file.urdf").write_text("".join(sized).replace("0.171 0", "0.178 0"))
+    file = load(tmp_path / "file.urdf", base="differential_drive", wheels=[w.joint for w in base.base.wheels])
+    assert file.base.track == pytest.approx(0.356) and len({w.radius for w in file.base.wheels}) == 2
+    found = wheels_of(file, [square_by_contact(base, turn) for turn in (1, -1)])
+    np.testing.assert_allclose(found.value, true, rtol=3e-3)
+    assert (np.abs(found.value - true) < 3 * found.sd).all() and (found.sd < 2e-3 * true).all()
 
 
 def drive(

@@ -17,7 +17,7 @@ import time
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TransformStamped, Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped, Twist, TwistStamped, WrenchStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -53,7 +53,11 @@ class Robot:
         self.plan = node.create_publisher(JointTrajectory, "/mmnn/joint_trajectory", 10)
         self.hand = [
             node.create_publisher(kind, f"/mmnn/hand/{name}", 10)
-            for kind, name in ((PoseStamped, "pose"), (TwistStamped, "twist"), (Float64MultiArray, "stiffness"))
+            for kind, name in zip(
+                (PoseStamped, TwistStamped, Float64MultiArray, WrenchStamped),
+                ("pose", "twist", "stiffness", "force"),
+                strict=True,
+            )
         ]
         self.maps = node.create_publisher(TFMessage, "/tf", 20) if "map" in faults else None
         self.simulator = node.create_publisher(Clock, "/clock", 10) if "sim_time" in faults else None
@@ -177,7 +181,7 @@ class Robot:
 
     def lead(self, k, since):
         """Lead the hand: to a place, with stiffness that can be had and that cannot, then at a velocity."""
-        pose, twist, stiffness = self.hand
+        pose, twist, stiffness, force = self.hand
         if 0.5 < since < 2.5 and k % 20 == 0:
             there = PoseStamped()
             there.header.frame_id = "odom"
@@ -189,6 +193,11 @@ class Robot:
             moving = TwistStamped()
             moving.header.frame_id, moving.twist.linear.y = "odom", 0.05
             twist.publish(moving)
+        if 1.0 < since < 2.0 and k % 20 == 0:
+            pushing = WrenchStamped()
+            pushing.header.frame_id, pushing.wrench.force.z = "odom", 3.0
+            pushing.wrench.torque.x = 1.0 if since > 1.9 else 0.0
+            force.publish(pushing)
 
     def ask(self, k, begun):
         """Drive the base and move the arm from half a second after the first command on."""

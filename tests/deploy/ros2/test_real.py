@@ -243,10 +243,11 @@ def test_a_robot_that_dies_or_whose_clock_jumps_is_asked_for_nothing_more(
         assert np.abs(run.rows[-1, 10:12]).max() < 0.01 and np.abs(run.rows[-1, 4:6]).max() < 0.03, run.rows[-1]
 
 
-LED = SETTINGS.replace("    set:", "    controller: pd\n    set:\n      impedance: {stiffness: 100.0, damping: 20.0}")
+HAND = "impedance: {stiffness: 100.0, damping: 20.0}\n      force: {newtons: 0.0}"
+LED = SETTINGS.replace("    set:", f"    controller: pd\n    set:\n      {HAND}")
 
 
-def test_a_hand_goes_where_messages_lead_it_and_is_as_stiff_as_they_say(tmp_path: Path, domain: int) -> None:
+def test_a_hand_goes_where_messages_lead_it_and_pushes_and_gives_way_as_they_say(tmp_path: Path, domain: int) -> None:
     """A place, then 1 s at 5 cm/s to the left, by what the node recorded; placements are Pinocchio's."""
     run = drive(tmp_path, "kilted", domain, "hand", "no_joystick", "no_plan", seconds=5.0, text=LED)
     assert run.code == 0 and np.isnan(run.trip), run.lines
@@ -263,7 +264,9 @@ def test_a_hand_goes_where_messages_lead_it_and_is_as_stiff_as_they_say(tmp_path
     for time in (2.9, 9.0):  # the robot of the other process has other inertias, and its base lags
         assert np.linalg.norm(hand(time, "") - hand(time)) < 0.06, (hand(time, ""), hand(time))
     assert "1e+09 N/m: use at most" in run.lines and "2 numbers: send 1, 3 or 6" in run.lines, run.lines
-    assert np.abs(kept["asked_force"]).max() > 0.0
+    up = kept["asked_force"][:, 2]  # in which a planar arm neither moves nor has a displacement
+    assert up.max() == pytest.approx(3.0, abs=1e-6) and up[-1] == 0.0
+    assert "a moment: send a force alone" in run.lines, run.lines
 
 
 @pytest.mark.long

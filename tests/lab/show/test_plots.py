@@ -14,6 +14,7 @@ from places import ROOT
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments import controllers
 from mmnn_pin.lab.show import plots
+from mmnn_pin.lab.show.curves import touch
 from mmnn_pin.lab.show.figure import (
     FIGURES,
     OTHERS,
@@ -67,6 +68,16 @@ def curves(axes):
 def legend_of(figure: Figure) -> list[str]:
     (legend,) = figure.legends
     return [text.get_text() for text in legend.get_texts()]
+
+
+def test_of_what_is_felt_only_that_is_drawn_which_says_something():
+    """Axes of the wrench that no joint feels, and torques within their band, have no panel."""
+    run = recording(layout=Layout(base=2, arm=2, full=7, motors=4, touch=1))
+    run["external_wrench"][:, [2, 3, 4]] = 1e-9
+    run["external_band"][:] = [10.0, 10.0, 0.1, 10.0]
+    panels = list(touch({"pd": run}))
+    assert [panel.title for panel in panels] == ["contact", "hand fx", "hand fy", "hand mz", "on lift"]
+    np.testing.assert_array_equal(panels[4].curves["pd"][1], run["external_torque"][:, 2])
 
 
 def test_errors_are_drawn_in_the_units_on_their_axes():
