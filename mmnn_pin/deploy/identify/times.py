@@ -15,6 +15,7 @@ from .log import Log, LogFinding
 GAP = 4.0  # median periods without a row that count as a gap
 JITTER = 0.05  # share of the period above which it is told
 SHORTEST = 2.0  # [s] of motion
+COARSEST = 3.0  # rows per time
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 PERIODS = 2e-5, 0.55  # that a log can have [s]
 USUAL = 0.7  # [rad/s] a speed as robots have them, where no rate is recorded
@@ -37,6 +38,10 @@ def sound_times(log: Log, told: bool = False) -> Log:
     if not (np.diff(log.time) > 0).any():
         raise RecordingError("the time stands still", fix="map the column of times with --columns", file=log.name)
     log = rolled_on(log.with_signals(log.signals, log.time - log.time[0]))
+    if (each := len(log.time) / len(np.unique(log.time))) > COARSEST:
+        what = f"the times are too coarse: {each:.0f} rows have the same one"
+        fix = "write them with more digits, or leave them out and give --rate HZ"
+        raise RecordingError(what, why="what happened between these rows is lost", fix=fix, file=log.name)
     if not told:
         log = in_seconds(log)
     if twice := np.count_nonzero(np.diff(log.time) == 0):

@@ -240,6 +240,9 @@ def test_impossible_logs_are_refused(log: Log, arm: Robot) -> None:
         sound(log.rows(np.random.default_rng(0).permutation(1000)), arm)
     with pytest.raises(RecordingError, match="time stands still"):
         sound(log.with_signals(log.signals, np.zeros(1000)), arm)
+    for epoch, same in ((1.7e9, 91), (0.0, 91)):  # 1,000 rows at 100 Hz in whole seconds
+        with pytest.raises(RecordingError, match=f"too coarse: {same} rows have the same one.*give --rate HZ"):
+            sound(log.with_signals(log.signals, np.round(epoch + log.time)), arm)
     with pytest.raises(RecordingError, match=r"1.5 s of motion"):
         sound(log.rows(slice(0, 151)), arm)
     with pytest.raises(RecordingError, match="all efforts are zero"):
