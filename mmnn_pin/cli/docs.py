@@ -13,7 +13,6 @@ import msgspec
 from click.shell_completion import CompletionItem
 
 from ..errors import UnknownName
-from ..settings.meanings import BESIDE, meanings, source_of
 from .options import PACKAGE, examples, shared, starting
 from .output import DONE, answer, columns
 
@@ -44,6 +43,7 @@ def first_line(thing: Any) -> str:
 def meaning(key: str) -> str:
     """The meaning of an experiment's key, as its class says it, and its subkeys; empty for one that there is not."""
     from ..lab.experiments.config import keys_of, kind_at
+    from ..settings.meanings import meanings
 
     above, _, name = key.rpartition(".")
     kind = kind_at(above or None)
@@ -80,6 +80,7 @@ def subkeys(key: str, kind: Any) -> Iterator[str]:
 def table_lines(heading: str, kind: Any, defaults: dict[str, str]) -> Iterator[str]:
     """A heading and the keys of a kind of table, each with its default and its meaning."""
     from ..lab.show.table import hanging
+    from ..settings.meanings import meanings
 
     said, width = meanings(kind), max(map(len, defaults), default=0)
     what = f": {first_line(kind)}" if heading.startswith("type") else ""
@@ -150,6 +151,8 @@ def defined(name: str, module: str = "") -> list[Any]:
 
 def described(name: str, thing: Any) -> str:
     """A name with its signature, where it is from, its docstring, and what stands beside the fields of a class."""
+    from ..settings.meanings import BESIDE, source_of
+
     try:
         signature = str(inspect.signature(thing))
     except (TypeError, ValueError):
@@ -183,6 +186,8 @@ def controllers() -> dict[str, str]:
 
 def keys_of_kind(kind: Any) -> dict[str, str]:
     """Keys of a kind of file."""
+    from ..settings.meanings import meanings
+
     said = meanings(kind)
     return {f.encode_name: said.get(f.encode_name, first_line(f.type)) for f in msgspec.structs.fields(kind)}
 
@@ -199,6 +204,8 @@ def kinds() -> dict[str, Any]:
 
 def schema(name: str) -> dict[str, Any]:
     """The JSON schema of a kind of file, with meanings; no key is required, for a file may start from another one."""
+    from ..settings.meanings import meanings
+
     kind = kinds()[name]
     found = msgspec.json.schema(kind)
     without_defaults(found)

@@ -250,7 +250,7 @@ class Recording:
                 columns[label] = as_columns(self[true if true in self else name])[:, i], unit
         if not ((self.time >= start) & (self.time < stop)).any():
             end = f"it ends at {self.outcome.time:g} s" if len(self) else "it has no rows"
-            until = "on" if np.isinf(stop) else f"to {stop:g} s"
+            until = "on" if stop == np.inf else f"to {stop:g} s"
             raise RecordingError(f"no samples from {start:g} s {until}", why=end, file=self.path)
         return Errors.of(self.time, columns, start, stop)
 

@@ -265,6 +265,13 @@ def test_a_single_body_may_be_a_base():
 # --- Every refusal's command ------------------------------------------------------------------------------------------
 
 
+def steered(i: int, x: float, y: float, limit: float) -> str:
+    """A wheel on an upright joint with limits."""
+    fork = link(f"fork{i}", 0.5) + wheel(f"w{i}", (0, 0, 0), parent=f"fork{i}")
+    more = LIMIT.format(-limit, limit)
+    return fork + joint(f"steer{i}", "revolute", "base", f"fork{i}", p=(x, y, 0.1), axis=(0, 0, 1), more=more)
+
+
 WELDED = chassis("".join(
     link(f"wheel{i}_link", 0.5, 0.001, CYLINDER.format(r=0.05), LYING_CYLINDER)
     + joint(f"w{i}", "fixed", "base", f"wheel{i}_link", p=(0, y, 0.05)) for i, y in enumerate((0.2, -0.2))

@@ -191,21 +191,21 @@ def test_json_of_inspect_tells_what_beside_file_says_of_a_refused_robot(place, c
     assert codes == ["overrides", "base-undecided"]
 
 
-def test_a_recording_of_the_first_version_opens_and_its_states_have_the_present_names(tmp_path):
+def test_a_recording_of_the_first_version_opens_and_its_run_goes_on(tmp_path):
     old = tmp_path / "old.h5"
     old.write_bytes(gzip.decompress((Path(__file__).parent / "data/before_0_2.h5.gz").read_bytes()))
     run = Recording.open(old)
     assert run.complete and run.outcome.status == "completed" and len(run) == 10
-    assert set(run.final) == {"position", "nu", "controller_state", "hardware_state"}
+    assert set(run.final) == {"position", "nu", "memory", "rig_memory"}  # as they were called then
     robot, gains = recorded_robot(run), Feedback(500.0, 8.0)
     controller = Neural(TwoLayer(hidden=3), gains)
     reference, timing = Trajectory(Line(0.3), (Hold(0.1), Hold(0.2))), Timing(duration=0.04)
     loop = Loop(robot, reference, controller, timing=timing, safety=Safety(), engine="ordinary", seed=7)
     state = loop.state_from()
-    state.values[:] = run.final["controller_state"]
+    state.values[:] = run.final["memory"]
     plant_state = run.final["position"], run.final["nu"]
     with pytest.raises(ConfigError, match="hardware_state: error: an array that is of shape"):
-        loop.run(state=state, plant_state=plant_state, hardware_state=run.final["hardware_state"], first=10)
+        loop.run(state=state, plant_state=plant_state, hardware_state=run.final["rig_memory"], first=10)
     resumed = loop.run(state=state, plant_state=plant_state, first=10)  # supervisors remember more today
     whole = loop.run()
     np.testing.assert_allclose(resumed["torque"], whole["torque"][10:], rtol=1e-9, atol=1e-9)
