@@ -1,4 +1,4 @@
-"""The program `mmnn` is imported with two precautions; who imports this package from Python has his own ways.
+"""The program `mmnn` is imported with two precautions, which an import from Python does not take.
 
 - Ctrl-C where Python itself would print it, or lose it: while the program is imported, in destructors, at its end.
 - Settings that libraries read from the folder where one stands, which may be a stranger's, do not count: numba reads

@@ -63,17 +63,33 @@ def drawn(robot: Robot, rng: np.random.Generator) -> tuple[Robot, Array]:
     return true, np.array([radius, radius, robot.base.track]) * rng.uniform(0.97, 1.03, 3)
 
 
-def motion(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """Times (N,), and coordinates, rates and accelerations of nu (N, p): sines of frequencies of no common measure."""
-    p, t = robot.dimensions.dof, np.arange(0.0, DURATION, 1 / RATE)
-    x, v, a = np.zeros((3, len(t), p))
-    for j in range(p):
-        for w in FREQUENCIES * rng.uniform(0.9, 1.1, len(FREQUENCIES)):
-            size, phase = rng.uniform(0.3, 0.7) / w / 2, rng.uniform(0, 2 * np.pi)
+def sines(
+    t: Array, frequencies: Array, n: int, rng: np.random.Generator, largest: float, part: int
+) -> tuple[Array, Array, Array]:
+    """Coordinates, rates and accelerations (N, n): sums of sines.
+
+    Args:
+        t: (N,) times [s].
+        frequencies: About those of the sines, of no common measure [rad/s].
+        n: How many coordinates.
+        rng: Draws frequencies, rates and phases.
+        largest: Rate of a sine, `part` times [rad/s].
+        part: Of how many sines a rate is made.
+    """
+    x, v, a = np.zeros((3, len(t), n))
+    for j in range(n):
+        for w in frequencies * rng.uniform(0.9, 1.1, len(frequencies)):
+            size, phase = rng.uniform(0.3, largest) / w / part, rng.uniform(0, 2 * np.pi)
             x[:, j] += size * np.sin(w * t + phase)
             v[:, j] += size * w * np.cos(w * t + phase)
             a[:, j] -= size * w * w * np.sin(w * t + phase)
-    return t, x, v, a
+    return x, v, a
+
+
+def motion(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Times (N,), and coordinates, rates and accelerations of nu (N, p)."""
+    t = np.arange(0.0, DURATION, 1 / RATE)
+    return t, *sines(t, FREQUENCIES, robot.dimensions.dof, rng, 0.7, 2)
 
 
 def efforts(robot: Robot, x: Array, v: Array, a: Array) -> Array:

@@ -19,6 +19,7 @@ from mmnn_pin.cli import main as mmnn
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.tree.body import parameters
+from research.studies.damaged_logs import sines
 
 RATE, FREQUENCIES = 1000.0, 2 * np.pi * np.array([0.07, 0.13, 0.29, 0.41])
 
@@ -26,14 +27,8 @@ RATE, FREQUENCIES = 1000.0, 2 * np.pi * np.array([0.07, 0.13, 0.29, 0.41])
 def write_log(robot: Robot, seconds: float, path: Path) -> None:
     """A CSV of sines of every joint, with friction that the file lacks and 1 % of noise on the efforts."""
     t, n, rng = np.arange(0.0, seconds, 1 / RATE), robot.dimensions.arm, np.random.default_rng(0)
-    x, v, a = np.zeros((3, len(t), n))
+    x, v, a = sines(t, FREQUENCIES, n, rng, 0.6, 3)
     x += (robot.lower + robot.upper)[robot.arm_index] / 2
-    for j in range(n):
-        for w in FREQUENCIES * rng.uniform(0.9, 1.1, len(FREQUENCIES)):
-            size, phase = rng.uniform(0.3, 0.6) / w / 3, rng.uniform(0, 2 * np.pi)
-            x[:, j] += size * np.sin(w * t + phase)
-            v[:, j] += size * w * np.cos(w * t + phase)
-            a[:, j] -= size * w * w * np.sin(w * t + phase)
     regressor, theta = Regressor.of(robot), parameters(robot)
     parts = [slice(i, i + 20000) for i in range(0, len(t), 20000)]
     u = np.vstack([regressor.along(x[part], v[part], a[part]) @ theta for part in parts])
