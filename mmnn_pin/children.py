@@ -18,6 +18,8 @@ from contextlib import contextmanager, suppress
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 
+from .program import OURS
+
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent has ended
 LOOK_EVERY = 0.5  # whether the parent still lives, where the system does not tell [s]
 
@@ -42,8 +44,8 @@ def search_path() -> list[str]:
 
 
 def environment() -> dict[str, str]:
-    """Environment of a process of ours; the interpreter needs `-P` besides."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join(search_path())}
+    """Environment of a process of ours, with the precautions of `program`; the interpreter needs `-P` besides."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join(search_path()), OURS: "1"}
 
 
 def end_with(parent: int) -> None:

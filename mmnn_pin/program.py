@@ -2,7 +2,7 @@
 
 - Ctrl-C where Python itself would print it, or lose it: while the program is imported, in destructors, at its end.
 - Settings that libraries read from the folder where one stands, which may be a stranger's, do not count: numba reads
-  `.numba_config.yaml` when it is imported and before it compiles, matplotlib `matplotlibrc`.
+  `.numba_config.yaml` when it is imported and before it compiles, matplotlib `matplotlibrc`. Nor in its processes.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from importlib.machinery import ModuleSpec, PathFinder
 from types import FrameType, ModuleType
 from typing import Any
 
+OURS = "MMNN_CHILD"  # a variable that processes of ours have
 READING = ("numba.core.config", "matplotlib")  # modules that read settings as they are imported
 SOON = 0.05  # [s] after a Ctrl-C that was lost, when it comes again
 
@@ -93,5 +94,5 @@ def executed(execute: Callable[[ModuleType], None], module: ModuleType) -> None:
     vars(module)["_config_fname"] = os.devnull  # which numba would look for again and again
 
 
-if PROGRAM == "mmnn":
+if PROGRAM == "mmnn" or OURS in os.environ:
     sys.meta_path.insert(0, Elsewhere)

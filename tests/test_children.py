@@ -88,8 +88,9 @@ def test_what_libraries_read_where_one_stands_is_not_read(tmp_path: Path) -> Non
     (tmp_path / "short.toml").write_text(SHORT.replace("points = 4", "points = 1"))
     (tmp_path / ".numba_config.yaml").write_text("[[[ : {")
     os.mkfifo(tmp_path / "matplotlibrc")
-    words = ("run track --controller pd --set time.duration=0.004 --out r", "study short.toml --workers 2 --out s")
-    done = python(tmp_path / "own" / "mmnn", *words, cwd=tmp_path)
+    (tmp_path / "robot.xacro").write_bytes((ROOT / "urdf" / "platform_arm.urdf").read_bytes())
+    runs = "run track --controller pd --set time.duration=0.004 --out r", "study short.toml --workers 2 --out s"
+    done = python(tmp_path / "own" / "mmnn", "inspect robot.xacro", *runs, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
 
 

@@ -92,7 +92,7 @@ def embed(
     of Python; it is compiled and run before the folder appears, and all its torques and states must agree bit for bit.
     """
     from ..deploy.embed import embed as export
-    from ..deploy.embed.export import MEMORY, supervised
+    from ..deploy.embed.export import MEMORY, found_compiler, supervised
     from ..deploy.embed.files import TOLERANCE
     from ..deploy.embed.in_the_loop import compared, require_tools
     from ..lab.experiments.config import load_experiment
@@ -116,7 +116,8 @@ def embed(
                 compiler=None if no_check else cc, memory=memory or MEMORY,
                 limits=within, processor=processor or "",
             )  # fmt: skip
-    run = None if plant is None else compared(supervised(loop), out, plant, cc.split(), steps, out / "run.h5", within)
+    tool = found_compiler(cc if plant == "host" else None)
+    run = None if plant is None else compared(supervised(loop), out, plant, tool, steps, out / "run.h5", within)
     bits = f"within {TOLERANCE:g} of the largest torque of Python" if single else "with the bits of Python"
     said = "" if no_check else f"self-test passed: {made.selftest_steps} samples {bits}\n"
     units = {} if found.hardware is None else Fitted(found.hardware, loaded).units()

@@ -29,7 +29,7 @@ from mmnn_pin import Recording, Stepper, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.embed.board import Fresh
 from mmnn_pin.deploy.embed.body import write
-from mmnn_pin.deploy.embed.export import embed, supervised
+from mmnn_pin.deploy.embed.export import embed, found_compiler, supervised
 from mmnn_pin.deploy.embed.files import files_of, plain, quoted, translated
 from mmnn_pin.deploy.embed.golden import as_measured
 from mmnn_pin.deploy.embed.in_the_loop import HOST, Linked, build
@@ -309,6 +309,21 @@ def test_what_is_asked_in_flight_is_done_as_by_the_stepper(tmp_path):
         assert bool(c.mmnn_is_over(memory)) == stepper.is_over
         torques.append(torque)
     assert all(np.ptp(torques[first : first + 40]) > 0 for first in (0, 90, 150, 300))
+
+
+@needs_gcc
+def test_a_library_that_lies_where_one_stands_is_not_linked(tmp_path, monkeypatch):
+    """A linker takes the libraries that its scripts name from where it is started."""
+    strange, own = tmp_path / "strange", tmp_path / "own"
+    strange.mkdir()
+    (strange / "libgcc_s.so.1").write_text("INPUT(/nowhere/strangers.o)")
+    (strange / "cc").symlink_to(shutil.which("gcc"))
+    monkeypatch.chdir(strange)
+    loop = loop_of("platform_arm", "pd")
+    assert embed(loop, own, steps=5, compiler="./cc").code_bytes
+    assert build(own, HOST, found_compiler("./cc"), tmp_path / "link")
+    with pytest.raises(ConfigError, match="cc: error: no command 'cc \"': No closing quotation: close its quotes"):
+        embed(loop, tmp_path / "more", compiler='cc "')
 
 
 @needs_gcc

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import shutil
 import subprocess
@@ -210,13 +211,16 @@ def found_compiler(compiler: str | None) -> list[str]:
     """The command of a compiler; empty for none.
 
     Raises:
-        ConfigError: It is not there.
+        ConfigError: It is not there, or no command.
     """
-    words = shlex.split(compiler) if compiler else []
+    try:
+        words = shlex.split(compiler or "")
+    except ValueError as error:
+        raise ConfigError(f"no command {compiler!r}", why=str(error), fix="close its quotes", key="cc") from error
     if words and shutil.which(words[0]) is None:
         fix = "install gcc or clang, name another with --cc, or give --no-check to write the files alone"
         raise ConfigError(f"no compiler '{words[0]}'", why="the self-test is to be run", fix=fix, key="cc")
-    return words
+    return [os.path.abspath(words[0]), *words[1:]] if words and os.sep in words[0] else words
 
 
 def check(folder: Path, compiler: list[str]) -> str:
@@ -227,18 +231,18 @@ def check(folder: Path, compiler: list[str]) -> str:
     """
     with tempfile.TemporaryDirectory() as made:
         program = Path(made) / "selftest"
-        sources = [str(file) for file in sorted(folder.glob("*.c"))]
-        run([*compiler, *FLAGS, *sources, "-o", str(program)], "the export does not compile")
-        return run([str(program)], "the self-test of the export fails")
+        sources = [file.name for file in sorted(folder.glob("*.c"))]
+        run([*compiler, *FLAGS, *sources, "-o", str(program)], folder, "the export does not compile")
+        return run([str(program)], folder, "the self-test of the export fails")
 
 
-def run(command: list[str], what: str) -> str:
-    """Run a command; what it prints.
+def run(command: list[str], folder: Path, what: str) -> str:
+    """Run a command in a folder of ours, as linkers look for libraries where they are started; what it prints.
 
     Raises:
         MmnnError: It fails.
     """
-    done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST, cwd=folder)
     if done.returncode:
         said = (done.stdout + done.stderr).strip().splitlines()
         raise MmnnError(f"{what}: {' '.join(said[:3]) or f'exit status {done.returncode}'}")
@@ -256,6 +260,6 @@ def size_of_code(folder: Path, compiler: list[str]) -> tuple[int | None, str]:
     with tempfile.TemporaryDirectory() as made:
         for name in ("controller", "robot_law", "mmnn_math"):
             made_of = str(Path(made) / f"{name}.o")
-            run([*tool, *FLAGS, "-c", str(folder / f"{name}.c"), "-o", made_of], "the export does not compile")
-            total += int(run([measure, made_of], "no size").splitlines()[1].split()[0])
+            run([*tool, *FLAGS, "-c", f"{name}.c", "-o", made_of], folder, "the export does not compile")
+            total += int(run([measure, made_of], folder, "no size").splitlines()[1].split()[0])
     return total, "arm-none-eabi-gcc -O2, Cortex-M7" if is_board else f"{compiler[0]} -O2, this machine"

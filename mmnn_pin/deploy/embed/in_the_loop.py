@@ -211,13 +211,11 @@ def build(folder: Path, where: str, compiler: Sequence[str], program: Path) -> l
         MmnnError: It does not compile.
     """
     require_tools(where)
-    ours = [
-        str(folder / f"{name}.c") for name in ("controller", "tuning", "robot_law", "mmnn_math", "in_the_loop/link")
-    ]
-    common = ["-std=c99", "-O2", "-ffp-contract=off", f"-I{folder}", *ours, "-o", str(program)]
-    start = [str(folder / "qemu_mps2" / "startup.c"), "-T", str(folder / "qemu_mps2" / "mps2.ld")]
+    ours, program = ["controller.c", "tuning.c", "robot_law.c", "mmnn_math.c", "in_the_loop/link.c"], program.resolve()
+    common = ["-std=c99", "-O2", "-ffp-contract=off", "-I.", *ours, "-o", str(program)]
+    start = ["qemu_mps2/startup.c", "-T", "qemu_mps2/mps2.ld"]
     command = [*compiler, *common] if where == HOST else ["arm-none-eabi-gcc", *M7.split(), *common, *start]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     if done.returncode:
         raise MmnnError(f"the link does not compile: {' '.join(done.stderr.splitlines()[:2])}")
     return [str(program)] if where == HOST else [*BOARD.split(), "-kernel", str(program)]

@@ -274,6 +274,7 @@ def made(make: Maker, arguments: Sequence[str], patience: float = 0.0) -> Iterat
     Raises:
         InputError: Arguments that ROS 2 does not take.
     """
+    os.environ.setdefault("SKIP_DEFAULT_XML_FILE", "1")  # else Fast DDS takes the settings of the folder it is run in
     try:
         rclpy.init(args=["mmnn", *arguments], signal_handler_options=rclpy.SignalHandlerOptions.NO)
         node, executor = ControllerNode(make, patience), MultiThreadedExecutor(THREADS)

@@ -90,11 +90,11 @@ def start(distribution: str, domain: int, script: str, *arguments: Any) -> subpr
     return subprocess.Popen(command, env=of_ros(distribution, domain), stdout=pipe, stderr=pipe, text=True)
 
 
-def mmnn(distribution: str, domain: int, *arguments: Any, **own: str) -> subprocess.Popen[str]:
-    """`mmnn ros2` as a process, in surroundings with some more of its own."""
+def mmnn(distribution: str, domain: int, *arguments: Any, cwd: Path = ROOT, **own: str) -> subprocess.Popen[str]:
+    """`mmnn ros2` as a process, in a folder, in surroundings with some more of its own."""
     command = [str(python_of(distribution)), "-c", MAIN, "ros2", *map(str, arguments)]
     pipe, here = subprocess.PIPE, of_ros(distribution, domain) | own
-    return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=ROOT, env=here)
+    return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=cwd, env=here)
 
 
 def said(distribution: str, domain: int, *arguments: Any, **own: str) -> tuple[int, str]:

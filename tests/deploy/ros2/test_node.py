@@ -34,6 +34,15 @@ def test_ctrl_c_brakes_and_is_130(tmp_path: Path, domain: int, number: int) -> N
     assert np.abs(run.rows[-1, 4:6]).max() < 0.02 and np.abs(run.rows[-1, EFFORTS]).max() < 1e-6
 
 
+def test_settings_of_fast_dds_that_lie_where_one_stands_are_not_read(tmp_path: Path, domain: int) -> None:
+    """They would keep one waiting for ever, as does everything that reads a pipe."""
+    (tmp_path / "robot.yaml").write_text(SETTINGS)
+    os.mkfifo(tmp_path / "DEFAULT_FASTDDS_PROFILES.xml")
+    node = mmnn("kilted", domain, tmp_path / "robot.yaml", "--check", cwd=tmp_path)
+    out, err = node.communicate(timeout=LONG)
+    assert node.returncode == 0 and "joint_states" in out, err
+
+
 def test_a_full_disk_lets_the_efforts_fade(tmp_path: Path, domain: int) -> None:
     def fill(node: subprocess.Popen[str]) -> None:
         resource.prlimit(node.pid, resource.RLIMIT_FSIZE, (4096, 4096))
