@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 
+TIMES = ("t", "time", "timestamp", "stamp", "sec", "seconds")  # heads of the column of times; the first is our own
 SECONDS = ("s", "sec", "seconds")
 MEASURED, SLOW = 100, 0.9  # rows of what is no list of waypoints; from this step on their times are hardly seconds [s]
 APART, TURNED = 0.02, 0.1  # how far beside samples the motion may pass that is driven in their place [m, rad]
@@ -296,7 +297,8 @@ def require_within(
 class TableColumns(Mapping[str, Array]):
     """The columns of a CSV file by the names in its first line, (N,) each, read when they are asked for.
 
-    What a name has in square brackets behind it, a unit, is left out.
+    What a name has in square brackets behind it, a unit, is left out. Another of `TIMES` is read as `t` where that is
+    missing.
 
     Args:
         file: The file.
@@ -324,6 +326,8 @@ class TableColumns(Mapping[str, Array]):
             why = "it is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else reason(error)
             raise TrajectoryError("cannot be read", why=why, fix="name a CSV file", file=file) from None
         heads = [head.partition("[")[0].strip() for head in rows[0]] if rows else []
+        if "t" not in heads and (clock := next((head for head in heads if head.lower() in TIMES), None)):
+            heads[heads.index(clock)] = "t"
         if missing := [name for name in needed if name not in heads]:
             fix = f"name {', '.join(needed)} in the first line"
             raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=file, line=1)
@@ -353,16 +357,18 @@ class TableColumns(Mapping[str, Array]):
     def base(self, sideways: bool) -> BaseTable | None:
         """The base's motion; None where no column is of it.
 
-        It has `x, y, phi`, or `x, y`, and with them or alone `v, w`, `vx, vy, w` for a holonomic base.
+        It has `x, y, phi`, or `x, y`, and with them or alone `v, w`, `vx, vy, w` for a holonomic base. `vx` is another
+        name of `v`; a holonomic base without `vy` does not move aside.
 
         Raises:
             TrajectoryError: A part of these, or as of `table_of` and `integrated`.
         """
-        names, others = (("vx", "vy", "w"), ("v",)) if sideways else (("v", "w"), ("vx", "vy"))
         have = [name for name in BASE_COLUMNS if name in self]
+        forward = "vx" if "vx" in have else "v"
+        names = (forward, "vy", "w") if sideways and "vy" in have else (forward, "w")
         placed, moving = [n for n in have if n in ("x", "y", "phi")], [n for n in have if n in names]
-        if strange := [name for name in have if name in others]:
-            fix = f"this base moves by {', '.join(names)}: name them so, or leave the column out"
+        if strange := [name for name in have if name not in (*placed, *moving)]:
+            fix = f"this base moves by {'vx, vy, w' if sideways else 'v, w'}: name them so, or leave the column out"
             raise TrajectoryError(f"nothing uses the column '{strange[0]}'", fix=fix, file=self.file, line=1)
         if placed and not {"x", "y"} <= set(placed):
             missing = [name for name in ("x", "y") if name not in placed]
@@ -373,6 +379,8 @@ class TableColumns(Mapping[str, Array]):
             fix = f"give {', '.join(names)}, or none of them" + (" and the poses' own are taken" if placed else "")
             raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=self.file, line=1)
         velocity = np.stack([self[name] for name in names], axis=1) if moving else None
+        if velocity is not None and sideways and len(names) == 2:
+            velocity = np.insert(velocity, 1, 0.0, axis=1)
         if placed:
             pose = np.stack([self[name] for name in placed], axis=1)
             for name in ("x", "y"):

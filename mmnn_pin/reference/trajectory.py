@@ -25,7 +25,7 @@ from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
 from .holonomic import HolonomicPath
 from .joint import Hold, JointProfile, JointTable, Points
 from .path import BasePath, Line, Waypoints, require_positive, times
-from .samples import BASE_COLUMNS, BaseTable, TableColumns, check_followable, require_within, table_of
+from .samples import BASE_COLUMNS, TIMES, BaseTable, TableColumns, check_followable, require_within, table_of
 from .timed import Smoothed, Timed
 
 
@@ -208,7 +208,7 @@ class Trajectory:
     @classmethod
     @checked
     def from_csv(cls, robot: Robot, file: str | Path) -> Trajectory:
-        """From a CSV file: a column `t` [s], and any of these; others are left alone.
+        """From a CSV file: a column `t` or `time` [s], and any of these; others are left alone.
 
         `x, y, phi` of the base [m, m, rad], or `x, y`, which it drives through forwards; with them or alone `v, w`, or
         `vx, vy, w` of a holonomic base; `position.JOINT` of an arm joint, or only its name [rad or m], and, where it is
@@ -328,8 +328,11 @@ def timed(robot: Robot, found: TableColumns, joints: Sequence[str]) -> BasePath:
     """
     needing = [name for name in (*joints, "v", "vx", "vy", "w", "x", "y") if name in found]
     if {*needing} != {"x", "y"}:
-        why = "x and y alone are driven as fast as the limits allow" if robot.dimensions.base else ""
-        fix = "name t in the first line, with times in seconds"
+        why = "x and y alone are driven as fast as the limits allow" if "x" in needing else ""
+        fix = "give the times, in seconds, in a column t"
+        raise TrajectoryError("no column t", why=why, fix=fix, file=found.file, line=1)
+    if clock := next((head for head in found if set(re.findall("[a-z]+", head.lower())[:1]) & set(TIMES)), None):
+        why, fix = f"'{clock}' may be it", "name it t where it has seconds, else something that is no time"
         raise TrajectoryError("no column t", why=why, fix=fix, file=found.file, line=1)
     points = np.stack([found["x"], found["y"]], axis=1)
     with found.blamed():

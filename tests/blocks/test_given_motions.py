@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
+from test_holonomic import mecanum
 
 from mmnn_pin import Circle, Eight, Hold, Line, Sine, Trajectory, load, load_experiment
 from mmnn_pin.cli import main
@@ -164,7 +165,10 @@ BAD = {
     "no time": ("x,y,arm_1_joint\n0,0,0\n1,0,0\n", "no column t: x and y alone are driven as fast", 1),
     "no way": ("x,y,phi\n0,0,0\n", "points that are all in one place", None),
     "no w": ("t,v\n0,0\n1,0\n", "no column w: give v, w, or none of them", 1),
-    "of another base": ("t,vx,vy,w\n0,0,0,0\n1,0,0,0\n", "nothing uses the column 'vx': this base moves by v, w", 1),
+    "no time for joints": ("x_1,arm_1_joint\n0,0\n1,0\n", "no column t: give the times, in seconds, in a column t", 1),
+    "times in another unit": ("time_ms,x,y\n0,0,0\n100,1,0\n", "no column t: 'time_ms' may be it: name it t where", 1),
+    "of another base": ("t,vx,vy,w\n0,0,0,0\n1,0,0,0\n", "nothing uses the column 'vy': this base moves by v, w", 1),
+    "two of one": ("t,v,vx,w\n0,0,0,0\n1,0,0,0\n", "nothing uses the column 'v': this base moves by v, w", 1),
     "a jump of a joint": (
         "t,arm_1_joint\n" + "".join(f"{k / 10},{0.001 * k + 0.6 * (k > 20)}\n" for k in range(40)),
         "arm_1_joint jumps by 0.601 rad to its row of t = 2.1 s: that is 6.01 rad/s, beside 0.01 rad/s around it",
@@ -339,6 +343,20 @@ def driven_by(time: np.ndarray, velocity: np.ndarray, start: np.ndarray) -> np.n
 
     found = solve_ivp(rates, (0, time[-1]), start, "DOP853", time, rtol=1e-9, atol=1e-10, max_step=0.02)
     return np.asarray(found.y.T)
+
+
+@pytest.mark.parametrize("clock", ["time", "Time [s]", "timestamp"])
+def test_a_planners_own_heads_are_read_as_ours(clock: str, tmp_path: Path) -> None:
+    own, theirs = tmp_path / "own.csv", tmp_path / "theirs.csv"
+    rows = "".join(f"{k / 10},{0.3 + 0.01 * k},{np.sin(k / 5)}\n" for k in range(30))
+    theirs.write_text(f"{clock},vx,w\n" + rows)
+    own.write_text("t,v,w\n" + rows)
+    r, t = robot(), np.arange(0.0, 2.9, 0.1)
+    same = Trajectory.from_csv(r, own).table(t, r.dimensions)
+    np.testing.assert_array_equal(Trajectory.from_csv(r, theirs).table(t, r.dimensions), same)
+    aside = Trajectory.from_csv(r := mecanum(), own)
+    np.testing.assert_array_equal(drawn(aside, r, t).velocity[:, 1], 0.0)
+    np.testing.assert_allclose(drawn(aside, r, t).pose, same[:, :3], atol=1e-12)
 
 
 @given(st.integers(0, 10**6), st.sampled_from([0.02, 0.05, 0.1, 0.2]))

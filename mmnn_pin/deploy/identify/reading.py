@@ -16,6 +16,7 @@ from ...errors import InputError, RecordingError, UnknownName
 from ...files import LARGEST, read_bytes, read_toml, reason
 from ...model.robot import Robot
 from ...recording.recording import Recording, as_columns
+from ...reference.samples import TIMES
 from ...signals import Array
 from .bag import read_bag
 from .log import BASE, REFERENCE, Columns, Log, from_signals, revolves
@@ -28,7 +29,6 @@ WORDS = {
 }
 STAMPS = ("time", "timestamp", "stamp")  # in a header with other words
 WANTED = {"action", "target", "desired", "goal", "command", "commanded", "cmd", "setpoint"}  # of what is not measured
-TIMES = ("time", "t", "timestamp", "stamp", "sec", "seconds")
 UNITS = {"s", "sec", "secs", "seconds", "ms", "us", "ns"}  # that may follow
 PLAIN = {"joint", "joints", "j", "axis", "motor", "link", "actual", "measured", "meas", "state", "raw", "filtered"}
 PLAIN |= {"states", "field", "data", "msg", "observation", "values", "points", "trajectory"}

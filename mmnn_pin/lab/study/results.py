@@ -6,6 +6,7 @@ Metrics are named by patterns; a run without a number counts as the worst.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -191,12 +192,20 @@ def require_patterns(patterns: Iterable[str], names: Iterable[str], key: str) ->
         key: Where the patterns were given.
 
     Raises:
-        UnknownName: With the names that are near.
+        UnknownName: With the statistics that these signals have, or the names that are near.
     """
     known = list(names)
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in known):
-            raise UnknownName("metric", pattern, near(pattern, known), key=key)
+            signals, _ = parted(pattern)
+            ends = dict.fromkeys(parted(name)[1] for name in known if fnmatchcase(parted(name)[0], signals))
+            raise UnknownName("metric", pattern, [f"{signals}.{end}" for end in ends] or near(pattern, known), key=key)
+
+
+def parted(name: str) -> tuple[str, str]:
+    """`signal.label` and the statistic, whose window may have points: `e.arm_1_joint` and `rms_0_0.5`."""
+    found = re.fullmatch(r"(.*)\.([a-z].*)", name)
+    return (found[1], found[2]) if found else (name, "")
 
 
 def units_of(names: Iterable[str], robot: Robot) -> dict[str, str]:
@@ -213,8 +222,7 @@ def unit_of(name: str, slides: set[str]) -> str:
         name: `signal.label.statistic`.
         slides: Arm joints that slide.
     """
-    signal, _, rest = name.partition(".")
-    label = rest.rpartition(".")[0]
+    signal, _, label = parted(name)[0].partition(".")
     units = {"effort": "N²m²s", "slip": "m/s", "constraint_residual": "m/s", "energy_residual": "J"}
     units |= {"pose_error": "rad" if label == "phi" else "m", "z": "m/s" if label in ALONG else "rad/s"}
     return (units | {"e": "m" if label in slides else "rad"}).get(signal, "")
