@@ -12,14 +12,19 @@ engineer has in a file: bodies `BODIES` wrong, rotors and friction unknown. What
 time, by `LOAD` of the arm's mass. An equation of a velocity counts where that velocity moves: friction that holds says
 nothing of friction that slides.
 
-What was learned counts as far as it has predicted. Of every equation, before it is learned from, let beyond_i be the
-measured torque without that of the file, and said_i = Phi_f (theta - theta_0) its prediction. Then
+What was learned counts as far as it has predicted what the integral does not answer. Before an equation is learned
+from, let beyond_i be the measured torque without that of the file, and said_i = Phi_d (theta - theta_0), of Phi_d with
+the reference's own derivative, filtered as Phi_f is. Both pass a low-pass and a high-pass at the integral's rate, as a
+torque does until it is an error, while the velocity moves. With their sums a = beyond_i^2, b = beyond_i said_i, c =
+said_i^2 of the last `MEMORY` seconds
 
-    lambda_i = sum beyond_i said_i / sum said_i^2     over the last `MEMORY` seconds, within [0, 1]
+    lambda_i = b / c (1 - (a c / b^2 - 1) / `EQUATIONS`),
 
-is the share of the prediction that fits best: a test on data that the estimate has not seen, but not on other features.
-Noise that differenced velocities bring into Phi_f and, by K s, into the torque passes it. Where motors have limits
-Psi_hat takes of them what the feedback leaves, whatever was learned (`torque.law`). Nothing is claimed of theta.
+with each factor within [0, 1]. The first is the share of the prediction that fits best. The second is one less the
+variance of that share over its square, had it been found of so many independent equations: what fits by chance counts
+for nothing. As said_i is of the reference, the noise of velocities, which biases theta by Phi_f and by K s in the
+torque, does not confirm itself. Where motors have limits Psi_hat takes of them what the feedback leaves, whatever was
+learned (`torque.law`). Nothing is claimed of theta.
 """
 
 from __future__ import annotations
@@ -35,7 +40,7 @@ from ..compiled import compiled, copy_to, internal, linked
 from ..elementary import exp
 from ..elementary.normals import standard_normal
 from ..model.regressor import BODY, Massless, measured, regress
-from ..parts import Matrix, Vector, layout_of, views
+from ..parts import Cube, Matrix, Vector, layout_of, views
 from ..settings import require_numbers
 from ..signals import INDEX, Array, IntArray
 from .classical import Integral, Integrator, go_on, integral_shapes, integrate, new_integrator
@@ -43,7 +48,7 @@ from .controller import Context, ControllerState, Law
 from .factored import NEGLIGIBLE, covariance, dot, measure
 from .feedforward import Feedforward, FeedforwardSettings
 from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, remember
-from .friction_features import FrictionFeatures, columns, desired_rates, follow, friction, shipped
+from .friction_features import FrictionFeatures, columns, desired_rates, friction, shipped
 from .law import KERNELS, Kernels, constant_gain
 from .linear import drift, heed
 
@@ -54,6 +59,7 @@ EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["effective_gain"], INDEX["weight_norm"]
 BODIES = 0.3  # standard deviation of a body's numbers, relative
 SAMPLES = 300  # of random motion
 MEMORY = 5.0  # time over which predictions are compared [s]
+EQUATIONS = 10.0  # that count as independent among those of `MEMORY` seconds
 MOVES = 0.9  # part of the low-pass's time in which a velocity has to have moved
 LOAD, REACH = 0.1, 0.1  # what an arm may carry, as a share of its mass, and how far out [m]
 WIDE = 10.0  # standard deviation of Psi on random motion, over K, of what nothing is known of
@@ -116,6 +122,7 @@ class Learned(NamedTuple):
     carrying: IntArray  # places of what changes most likely
     theta0: Array  # (k,) the robot as its file describes it
     slowest: float  # velocity below which an equation does not count
+    answers: float  # rate of the filters ahead of the comparison of predictions: the integral's [1/s]
     forget: float  # what an update leaves of the comparison of predictions
     Phi: Array  # (p, k) room to work in
     nu: Array  # (p,) room to work in
@@ -135,9 +142,10 @@ class LearnedParts(NamedTuple):
     expected: Vector  # (p,) variances of the last equations
     level: Vector  # (p,) squares of errors in the last seconds, over K
     filtered: Filtered  # what the filter remembers
-    moved: Matrix  # (2, p d) friction features of the last sample, and behind the filter of states and torque
+    desired: Cube  # (3, p, k) Phi_d of the last sample, behind the filter of states and torque, and the low-pass
     moving: Vector  # (p,) part of the low-pass's time in which a velocity has moved
-    agrees: Matrix  # (2, p) measured torque beyond the URDF times its prediction, and that squared, of the last seconds
+    band: Cube  # (2, 2, p) measured torque beyond the URDF, and its prediction, behind one low-pass and behind two
+    agrees: Matrix  # (3, p) their squares and product in the last seconds, beyond^2, beyond said, said^2
     integral: Integral  # the integral
 
 
@@ -182,19 +190,27 @@ def feed_forward(row: Array, at: IntArray, a: Learned, o: LearnedParts) -> None:
 @compiled
 def share(o: LearnedParts, i: int) -> float:
     """Part of what was learned of velocity i that counts: lambda_i."""
-    if not o.agrees[1, i] > 0.0:
+    beyond, both, said = o.agrees[0, i], o.agrees[1, i], o.agrees[2, i]
+    if not both > 0.0:
         return 0.0
-    return min(max(o.agrees[0, i] / o.agrees[1, i], 0.0), 1.0)
+    return min(both / said, 1.0) * max(1.0 - (beyond * said / (both * both) - 1.0) / EQUATIONS, 0.0)
 
 
 @internal
 def desired_motion(row: Array, at: IntArray, a: Learned) -> None:
-    """Features (p, k) of the desired motion at the measured joints, into a.Phi."""
+    """Features (p, k) of the desired motion at the measured joints, nudot_ref for its derivative, into a.Phi."""
+    for i in range(a.gain.size):
+        a.nudot[i] = row[at[NUDOT_REF] + i]
+    along(row, at, a)
+
+
+@internal
+def along(row: Array, at: IntArray, a: Learned) -> None:
+    """Features (p, k) of the desired velocities and a.nudot at the measured joints, into a.Phi."""
     known, nb = a.known, a.known.base
     pose, q, shape = row[at[POSE] : at[POSE + 1]], row[at[Q] : at[Q + 1]], row[at[SHAPE] : at[SHAPE + 1]]
     for i in range(a.gain.size):
         a.nu[i], nudot = desired_rates(row, at, i)
-        a.nudot[i] = row[at[NUDOT_REF] + i]
         columns(a.friction, i, a.nu[i], nudot, a.Phi)
     measured(known, pose, a.nu[:nb], q, a.nu[nb:], shape)
     regress(known, a.nu, a.nudot)
@@ -212,7 +228,10 @@ def learn(row: Array, at: IntArray, a: Learned, o: LearnedParts) -> None:
     follows = period(row, at, f, o.filtered)
     if o.filtered.clock[1] <= 1.0:
         o.counts[3], o.counts[4], o.counts[5] = 0.0, 0.0, 0.0
-    follow(f, o.filtered, o.moved, a.Phi)
+    for i in range(a.gain.size):
+        _, a.nudot[i] = desired_rates(row, at, i)
+    along(row, at, a)
+    follow(f, o.filtered, o.desired, a.Phi)
     if follows:
         nb = a.gain.size - f.q.size
         measured(known, f.pose, f.nu[:nb], f.q, f.nu[nb:], f.shape)
@@ -224,6 +243,19 @@ def learn(row: Array, at: IntArray, a: Learned, o: LearnedParts) -> None:
             predict(a, o)
     if now:
         o.counts[6] = 0.0
+
+
+@internal
+def follow(f: Filter, seen: Filtered, desired: Array, Phi: Array) -> None:
+    """Phi_d (p, k) of the period that ends with a sample, filtered as its torque is, in place of that in Phi."""
+    follows = seen.clock[1] > 1.0
+    for i in range(Phi.shape[0]):
+        for j in range(Phi.shape[1]):
+            mean, before = 0.5 * (desired[0, i, j] + Phi[i, j]), desired[1, i, j] if follows else 0.0
+            desired[0, i, j] = Phi[i, j]
+            desired[1, i, j] = f.keep * before + (1.0 - f.keep) * mean if follows else 0.0
+            Phi[i, j] = mean - f.lag * (desired[1, i, j] - before)
+            desired[2, i, j] = f.hold * desired[2, i, j] + (1.0 - f.hold) * f.told[i] * Phi[i, j]
 
 
 @internal
@@ -250,10 +282,13 @@ def predict(a: Learned, o: LearnedParts) -> None:
         for j in range(k):
             phi[j] = Phi_f[i, j] / a.gain[i]
         beyond = Y_f[i] / a.gain[i] - dot(a.theta0, phi, k)
+        said = (dot(o.W[0], o.desired[2, i], k) - dot(a.theta0, o.desired[2, i], k)) / a.gain[i]
+        beyond = unanswered(beyond, a.answers * time, o.band[0], i)
+        said = unanswered(said, a.answers * time, o.band[1], i)
+        o.agrees[0, i] = a.forget * o.agrees[0, i] + beyond * beyond
+        o.agrees[1, i] = a.forget * o.agrees[1, i] + beyond * said
+        o.agrees[2, i] = a.forget * o.agrees[2, i] + said * said
         e = Y_f[i] / a.gain[i] - dot(o.W[0], phi, k)
-        said = beyond - e
-        o.agrees[0, i] = a.forget * o.agrees[0, i] + beyond * said
-        o.agrees[1, i] = a.forget * o.agrees[1, i] + said * said
         alpha = measure(o.U, o.D, phi, a.noise * a.interval / time, f, b)
         o.expected[i] = alpha
         for j in range(k if alpha > 0.0 else 0):
@@ -264,6 +299,24 @@ def predict(a: Learned, o: LearnedParts) -> None:
         drift(a, o, c, a.change * time)
     for c in range(a.carrying.size):
         drift(a, o, a.carrying[c], a.load * time)
+
+
+@compiled
+def unanswered(value: float, angle: float, seen: Array, i: int) -> float:
+    """A torque of velocity i without what is fast and without what the integral answers, as an error shows it.
+
+    Args:
+        value: The torque.
+        angle: Rate times time since the last one; 0 where there is no integral, and all of it is unanswered.
+        seen: (2, p) what two low-passes in a row remember.
+        i: The velocity.
+    """
+    if angle == 0.0:
+        return value
+    share = angle / (1.0 + angle)
+    seen[0, i] += share * (value - seen[0, i])
+    seen[1, i] += share * (seen[0, i] - seen[1, i])
+    return float(seen[0, i] - seen[1, i])
 
 
 @linked
@@ -326,6 +379,7 @@ class LearnedFeedforward(Feedforward):
             carrying=self.motion.carrying,
             theta0=theta0,
             slowest=own.slowest,
+            answers=self.rate,
             forget=exp(-every * h / MEMORY),
             Phi=np.zeros((p, k)),
             nu=np.zeros(p),
@@ -342,9 +396,10 @@ class LearnedFeedforward(Feedforward):
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """LearnedParts and covariance, what the filter remembers, the comparison, the integral."""
         p = context.layout.dof
-        k, d = self.size(p), self.features_of
+        k = self.size(p)
         own: dict[str, tuple[int, ...]] = {"W": (1, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (7,)}
-        own |= {"expected": (p,), "level": (p,), "moving": (p,), "agrees": (2, p), "moved": (2, p * d)}
+        own |= {"expected": (p,), "level": (p,), "moving": (p,), "agrees": (3, p)}
+        own |= {"desired": (3, p, k), "band": (2, 2, p)}
         return own | parts(context, p, k) | integral_shapes(context.layout)
 
     def init(self, context: Context) -> ControllerState:
@@ -395,7 +450,7 @@ class LearnedFeedforward(Feedforward):
         return np.array([Y / K[:, None] for Y in every])
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
-        """The estimate (1, k), what its predictions are worth (2, p), and the integral (p,)."""
+        """The estimate (1, k), what its predictions are worth (3, p), and the integral (p,)."""
         return {name: state[name] for name in ("W", "agrees", "integral")}
 
     def features(self, law: Law, state: ControllerState) -> Array:
