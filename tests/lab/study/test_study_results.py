@@ -295,9 +295,8 @@ def test_patterns_take_the_largest_and_what_is_no_number_is_worst() -> None:
     assert value_of(metrics, "e.*.peak") == 3.0
     assert value_of(metrics, "e.*.rms_0_1") == math.inf
     assert math.isnan(value_of(metrics, "gone"))
-    assert [unit_of(name, {"slide"}) for name in ("pose_error.phi.rms_0_0.5", "e.slide.peak", "e.a.peak", "z.vx.peak")] == [
-        *("rad", "m", "rad", "m/s")
-    ]
+    named = ("pose_error.phi.rms_0_0.5", "e.slide.peak", "e.a.peak", "z.vx.peak")
+    assert [unit_of(name, {"slide"}) for name in named] == ["rad", "m", "rad", "m/s"]
 
 
 # -- pages, tables, files ---------------------------------------------------------------------------------------------
