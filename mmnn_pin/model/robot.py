@@ -323,7 +323,8 @@ def lacking_rotors(robot: Robot) -> tuple[str, str]:
     if not few.any():
         return "", ""
     worst, others = int(np.argmin(time)), int(few.sum()) - 1
-    size = f"{inertia[worst]:.2g} {'kg m^2' if revolute(robot)[arm][worst] else 'kg'}"
+    size = "{:.2g} kg m^2, {:g} N m" if revolute(robot)[arm][worst] else "{:.2g} kg, {:g} N"
+    size = size.format(inertia[worst], efforts[worst])
     what = f"no rotors: by its link alone '{robot.joint_names[worst]}' ({size}) is at its top speed within "
     what += f"{1e6 * time[worst]:.3g} us" + (f", {others} more within 1 ms" if others else "")
     rotors = np.where(few, GEARED * one, robot.model.armature[arm])

@@ -157,7 +157,10 @@ def interface_notes(experiment: Experiment, robot: Robot) -> list[str]:
     driven = [f"{', '.join(names)} by {kind}" for kind, names in kinds.items() if kind != EFFORT]
     others = [name for name in robot.actuator_names if said.get(name, EFFORT) == EFFORT]
     unoffered = [name for name in others if offered[name] and EFFORT not in offered[name]]
-    found = [f"driven {'; '.join(driven)}" + ("; all others by effort" if others else "")] if driven else []
+    hidden = hidden_torques(robot, said, experiment.servo)
+    alike = "; no torque of a controller reaches any of them: all controllers move them alike"
+    end = "; all others by effort" if others else alike if hidden is not None and hidden.all() else ""
+    found = [f"driven {'; '.join(driven)}{end}"] if driven else []
     if unoffered:
         many = f"{unoffered[0]} and {len(unoffered) - 1} more" if len(unoffered) > 1 else unoffered[0]
         fix = "--hardware unknown drives each as offered"

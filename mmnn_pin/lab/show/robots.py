@@ -31,7 +31,6 @@ STRAIGHT = 0.02  # of a quarter turn: what forward may be off an axis by and is 
 OPTION = re.compile(r"(--[a-z-]+)((?: [^\s;]*[^\s;,])?)")  # in a fix, with its value
 DOUBTS = {  # what a finding leaves in doubt, by its code
     "base-doubt": "what the base is",
-    "base-none": "whether it has a base",
     "base-shapes": "the radius",
     "base-hub-height": "the radius",
     "base-radius": "the radii",
