@@ -71,7 +71,8 @@ class Bound(NamedTuple):
             raise ConfigError(f"{largest:g} N/m", why=why, fix=fix, key="impedance.stiffness")
         if self.held.delay >= self.margin:
             why = f"from {1e3 * self.margin:.3g} ms on its damper drives what bounces off {BOUNCES / 1e3:g} kN/m"
-            fix = f"shorten latency and actuator.lag to {1e3 * rounded(0.7 * max(self.margin, 1e-6)):g} ms together"
+            most = 1e3 * rounded(0.7 * max(self.margin, 1e-6))
+            fix = f"shorten latency.sensing, latency.command and actuator.lag to {most:g} ms together"
             what = f"a compliant hand with {1e3 * self.held.delay:.3g} ms of delay"
             raise ConfigError(what, why=why, fix=fix, key="impedance")
         name = "ratio" if impedance.damping is None else "damping"

@@ -23,7 +23,8 @@ def test_a_light_joint_without_a_rotor_is_told_with_one_that_mends_it(speed, lac
     found = [finding for finding in load(file).findings if finding.code == "no-rotor"]
     assert [finding.severity for finding in found] == ["note"] * lacks
     if lacks:
-        assert f"'last' (0.0001 kg m^2, 3 N m) is at its top speed within {1e6 * 1e-4 * speed / 3:.3g} us" in str(found[0])
+        within = f"is at its top speed within {1e6 * 1e-4 * speed / 3:.3g} us"
+        assert f"'last' (0.0001 kg m^2, 3 N m) {within}" in str(found[0])
         (said,) = re.findall(r"--set '(armature=\[.*\])'", found[0].fix)
         settings = [f"robot={file}", "time.duration=0.002", "controllers=['pd']"]
         before, mended = (load_experiment("track", [*settings, *more]) for more in ([], [said]))

@@ -140,7 +140,7 @@ def require_wheels(robot: Robot) -> None:
         why = f"what '{stiff[0]}' steers has no joint to roll about" if stiff else ""
     if why:
         what = f"the contact plant cannot carry the {robot.base.kind} base of '{robot.name}'"
-        raise RobotError(what, why=why, fix="use the ideal plant", file=robot.path)
+        raise RobotError(what, why=why, fix="use the ideal one, --set plant=ideal", file=robot.path)
 
 
 def on_rollers(robot: Robot) -> bool:
@@ -235,6 +235,6 @@ def require_standing(robot: Robot, data: pin.Data, wheels: tuple[Foot, ...], cas
         raise RobotError(
             f"nothing but the drive wheels of '{robot.name}' touches the floor",
             why=f"no caster reaches it at height {robot.base.floor:.3g} m, so the base would fall over",
-            fix="give a link that slides on the floor a <collision>, or use the ideal plant",
+            fix="give a link that slides on the floor a <collision>, or use the ideal one, --set plant=ideal",
             file=robot.path,
         )
