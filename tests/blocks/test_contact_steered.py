@@ -247,7 +247,8 @@ def test_what_does_not_roll_is_refused() -> None:
     """A steered wheel without a joint of its own, in one line."""
     base = car()
     still = replace(base, wheels=tuple(wheel for wheel in base.wheels if wheel.joint != "front_left"))
-    with pytest.raises(RobotError, match="what 'left_steer' steers has no joint to roll about: use the ideal one, --set plant=ideal"):
+    words = "what 'left_steer' steers has no joint to roll about: use the ideal one, --set plant=ideal"
+    with pytest.raises(RobotError, match=words):
         feet_of(robot_of(still))
 
 
