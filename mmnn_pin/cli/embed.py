@@ -108,20 +108,20 @@ def embed(
     with told_from_where(experiment, variant, found, changes):
         loaded = found.load_robot()
         loop = found.loop(loaded, found.controller(found.controllers[0], robot=loaded))
+        units = {} if found.hardware is None else Fitted(found.hardware, loaded).units()
         if plant is not None:
             require_tools(plant)
         with found.in_its_keys():
             made = export(
                 loop, out, force=force, single=single, diagnostics=not no_diagnostics, steps=steps,
                 compiler=None if no_check else cc, memory=memory or MEMORY,
-                limits=within, processor=processor or "",
+                limits=within, processor=processor or "", units=units,
             )  # fmt: skip
     tool = found_compiler(cc if plant == "host" else None)
     run = None if plant is None else compared(supervised(loop), out, plant, tool, steps, out / "run.h5", within)
     bits = f"within {TOLERANCE:g} of the largest torque of Python" if single else "with the bits of Python"
     said = "" if no_check else f"self-test passed: {made.selftest_steps} samples {bits}\n"
-    units = {} if found.hardware is None else Fitted(found.hardware, loaded).units()
-    said += "".join(f"{joint}: send {unit}; the C has efforts\n" for joint, unit in units.items())
+    said += "".join(f"{name}: {kind} = torque / {each:g}, by mmnn_motor_sent\n" for name, (kind, each) in units.items())
     more = ({} if run is None else {"in_the_loop": asdict(run)}) | ({"units": units} if units else {})
     answer(as_json, lambda: made.to_dict() | more, lambda: told(made, run, said))
     return DONE if run is None or not run.differences else FAILED

@@ -71,7 +71,7 @@ def new_hardware(
     is_exact = sensor.exact and not (faults.any() or len(frozen) or len(geared))
     at_start = np.zeros((layout.motors, motor.STATES))
     motor.motor_state(at_start).rotor_speed[:] = product(true.E_at(position).T, nu)
-    sensed = sensor.init(robot, faults)
+    sensed = sensor.init(robot, timing.measurement_period, faults)
     kinds, on = interfaces_of(robot, loop.interfaces)
     under_way = np.zeros((loop.latency.slots(timing), layout.motors))
     slots = servo_slots(loop.servo, loop.latency.command, timing.plant_step) if on.any() else 0

@@ -11,13 +11,17 @@ the feedback inside it, `M [alphadot; K edot]`, which is judged beside. Where ve
 `|lambda| = 1` that needs `L = arg(lambda) / w`. The smallest one is the margin, of all velocities coupled and delayed
 alike (a delay that is no whole number of periods counts as a phase, as between samples).
 
+**Gravity.** Its slope along the arm is a spring, mostly of a negative stiffness where an arm stands up. A torque at the
+measured joints cancels it, as late as all torques are; what is left of it pushes as a negative damping does. A PID
+cancels none.
+
 **Where it is judged.** Along the reference. An arm under PD sags below it, and is judged where it comes to rest, too:
 at the nearest minimum of `1/2 (q_ref - q)' k K (q_ref - q) + U(q)`, with the stiffness of U. The worst counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -27,6 +31,7 @@ from scipy.linalg import expm
 from ..compiled import one_thread
 from ..model.base.base import LinearErrors
 from ..model.dynamics import Dynamics
+from ..model.structure import Structure
 from ..signals import Array, IntArray, Setpoint
 from ..torque.classical import Gravity, Integrator
 from ..torque.controller import CompiledController
@@ -108,7 +113,9 @@ class HeldLoop:
     errors: Array  # (m, k): `[z; r]` of a deviation, 0 where a velocity is asked for
     inside: Array  # (m, k): `M nudot_ref` of a deviation, the feedback inside Psi, likewise
     rates: Array  # (m, k): `nudot_ref` of a deviation, likewise
-    asked: Array  # (m, k): velocities that servo rows are asked for in a deviation, 0 on the others
+    # (m, k): what is sent in a deviation whatever the gains: velocities that servo rows are asked for, on the others a
+    # torque that carries the weight
+    asked: Array
     # by period, `(z - state)^-1 torque` at the frequencies of a sweep, which no gain changes
     responses: dict[float, Array] = field(default_factory=dict)
 
@@ -174,12 +181,19 @@ class HeldLoop:
 
 
 def held_loop(
-    M: Array, law: LinearErrors, K: Array, h: float, machinery: Machinery = NOTHING, stiffness: Array | None = None
+    M: Array,
+    law: LinearErrors,
+    K: Array,
+    h: float,
+    machinery: Machinery = NOTHING,
+    stiffness: Array | None = None,
+    carried: bool = False,
 ) -> HeldLoop | None:
     """The linearised loop over one period, arguments as in `sampled_loop`; None where it moves too fast to compute.
 
     The torques of motors with a lag are further states; `stiffness` (n, n) is the derivative of gravity by the joints
-    [N m/rad]. Servos hold velocities: see `behind`. What velocities are made of: see `seen`.
+    [N m/rad], which a torque at the measured joints cancels where it is `carried`, as late as that torque is. Servos
+    hold velocities: see `behind`. What velocities are made of: see `seen`.
     """
     p, nb, poses = len(M), len(law.command), len(law.rates)
     friction, lag, servos, sight = machinery
@@ -207,16 +221,18 @@ def held_loop(
         return None
     if friction is not None:  # it damps: however large, its exponential is small
         A[nu, nu] = -M_inv @ (np.diag(friction) if np.ndim(friction) == 1 else friction)
+    weight = np.zeros((p, size))
     if stiffness is not None:
         A[nu, poses : poses + n] += M_inv[:, nb:] @ stiffness
+        weight[nb:, poses : poses + n] = -stiffness * carried
     if servos is not None:
         A, B = behind(servos, A, B, M_inv, nu)
     state, torque, moved = over_a_period(A, B, nu, h)
     if sight is not None:
-        state, torque, errors, rates, nu = seen(sight, state, torque, errors, rates, moved, nu, h)
+        (state, torque, nu), (errors, rates, weight) = seen(sight, state, torque, (errors, rates, weight), moved, nu, h)
     if servos is None:
-        return HeldLoop(state, torque, np.arange(p), errors, M @ rates, rates, np.zeros(errors.shape))
-    return asking(servos, state, torque, errors, rates, M, nu, h)
+        return HeldLoop(state, torque, np.arange(p), errors, M @ rates, rates, weight)
+    return asking(servos, state, torque, (errors, rates, weight), M, nu, h)
 
 
 def over_a_period(A: Array, B: Array, nu: slice, h: float) -> tuple[Array, Array, Array]:
@@ -229,9 +245,12 @@ def over_a_period(A: Array, B: Array, nu: slice, h: float) -> tuple[Array, Array
 
 
 def seen(
-    sight: VelocityFilter, state: Array, torque: Array, errors: Array, rates: Array, moved: Array, nu: slice, h: float
-) -> tuple[Array, Array, Array, Array, slice]:
-    """The loop with a filter's or an observer's memory as its last states, and where its rates stand in place of nu."""
+    sight: VelocityFilter, state: Array, torque: Array, read: Sequence[Array], moved: Array, nu: slice, h: float
+) -> tuple[tuple[Array, Array, slice], list[Array]]:
+    """The loop with a filter's or an observer's memory as its last states, and where its rates stand in place of nu.
+
+    What is read from nu (p, k) is then read from there.
+    """
     size, p, (whole, total) = len(state), nu.stop - nu.start, sight.over(h)
     kept = [1] if sight.beta == 0.0 else [0, 1]
     A, b = whole[np.ix_(kept, kept)], total[kept, None]
@@ -245,7 +264,7 @@ def seen(
         found[:, : rows.shape[1]], found[:, there], found[:, nu] = rows, rows[:, nu], 0.0
         return found
 
-    return state, torque, by_sight(errors), by_sight(rates), there
+    return (state, torque, there), [by_sight(rows) for rows in read]
 
 
 def behind(servos: LinearServos, A: Array, B: Array, M_inv: Array, nu: slice) -> tuple[Array, Array]:
@@ -276,14 +295,14 @@ def behind(servos: LinearServos, A: Array, B: Array, M_inv: Array, nu: slice) ->
 
 
 def asking(
-    servos: LinearServos, state: Array, torque: Array, errors: Array, rates: Array, M: Array, nu: slice, h: float
+    servos: LinearServos, state: Array, torque: Array, read: Sequence[Array], M: Array, nu: slice, h: float
 ) -> HeldLoop:
     """The loop with the law of servo rows (`loop.servo`), whose integrals psi are its last states.
 
     `u = nu_ref + nudot_ref / b + k s + psi`, `psi_next = psi = psi_last + h rate s`; on effort rows Psi has
     `nudot_s = b (u - psi - nu)`, but where torques act through the servo.
     """
-    on, (b, k, rate), size = servos.on, servos.numbers[:, :, None], len(state)
+    (errors, rates, weight), on, (b, k, rate), size = read, servos.on, servos.numbers[:, :, None], len(state)
     rows = np.flatnonzero(on)
     p, n = len(on), len(rows)
     s, nudot = np.zeros((p, size + n)), np.zeros((p, size + n))
@@ -300,6 +319,7 @@ def asking(
     rows = np.concatenate((np.arange(p), servos.through))
     by_torque = np.concatenate((1.0 - on, np.ones(len(servos.through))))[:, None]
     asked = np.concatenate((on, np.zeros(len(servos.through))))[:, None] * asked[rows]
+    asked[:, : weight.shape[1]] += by_torque * weight[rows]
     errors, inside, rates = (by_torque * found[rows] for found in (s, M @ nudot, nudot))
     return HeldLoop(state, torque, rows, errors, inside, rates, asked)
 
@@ -317,13 +337,23 @@ def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | N
         position, _ = Start().state(robot, plan.setpoints[i])
         v_ref = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
         loop = robot.base.linear_errors(v_ref, plan.gains), plan.K, slowest(plan), machinery_of(plan)
-        found.append(held_loop(dynamics.mass_matrix(position), *loop))
-        if isinstance(plan.controller, PD | ScheduledPD):
+        sags = isinstance(plan.controller, PD | ScheduledPD)
+        M, slope = dynamics.mass_matrix(position), None if sags else weight_slope(robot, dynamics.gravity, position)
+        found.append(held_loop(M, *loop, slope, carries(plan)))
+        if sags:
             springs = (share * gains_of(plan))[robot.dimensions.base :] * plan.K
             by_torque = np.ones(springs.size) if servo is None else servo.on[robot.dimensions.base :] == 0.0
             if (stiffness := sag(dynamics, position, springs, np.flatnonzero(by_torque))) is not None:
                 found.append(held_loop(dynamics.mass_matrix(position), *loop, stiffness))
     return found
+
+
+def carries(plan: Plan) -> bool:
+    """Whether a torque at the measured joints carries an arm's weight; an integral's goes by errors alone."""
+    controller = plan.controller
+    if isinstance(controller, CompiledController) and controller.networks is None:
+        return controller.uses_model or not isinstance(controller.law(plan.context).learner, Integrator | None)
+    return True
 
 
 def machinery_of(plan: Plan) -> Machinery:
@@ -361,13 +391,28 @@ def sag(dynamics: Dynamics, position: Array, springs: Array, free: IntArray) -> 
     if not (dynamics.feels_gravity and k.min(initial=np.inf) > 0.0 and arm.size):
         return None
     down = minimize(energy, TINY * np.sqrt(k), jac=True, method="BFGS")
-    q = wanted + down.x / np.sqrt(k)
-    steps = TINY * np.eye(arm.size)
-    slopes = [(weight(q + step) - weight(q - step)) / (2.0 * TINY) for step in steps]
-    weight(q)
-    found = np.zeros((springs.size, springs.size))
-    found[np.ix_(free, free)] = np.transpose(slopes)
+    position[arm] = wanted + down.x / np.sqrt(k)
+    robot.follow(position)
+    slope, found = weight_slope(robot, dynamics.gravity, position), np.zeros((springs.size, springs.size))
+    found[np.ix_(free, free)] = slope[np.ix_(free, free)]
     return found
+
+
+def weight_slope(robot: Structure, gravity: Callable[[Array], Array], position: Array) -> Array:
+    """Derivative of gravity on the arm by its joints, (n, n) [N m/rad].
+
+    Args:
+        robot: The robot.
+        gravity: Of it, at positions (nv,), (p,).
+        position: Where.
+    """
+    slope = np.zeros((robot.dimensions.arm, robot.dimensions.arm))
+    for column, i in enumerate(robot.arm_index):
+        for step in (TINY, -TINY):
+            beside = position.copy()
+            beside[i] += step
+            slope[:, column] += gravity(robot.follow(beside))[robot.dimensions.base :] / (2.0 * step)
+    return slope
 
 
 def slowest(plan: Plan) -> float:

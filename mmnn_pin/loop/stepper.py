@@ -257,6 +257,7 @@ class Stepper:
         Raises:
             UnknownName: There is no such field.
         """
+        age = loop.sensor.base_age(loop.timing.measurement_period)
         said = {
             "kinematic": loop.kinematic,
             "safety": loop.safety,
@@ -265,7 +266,7 @@ class Stepper:
             "nominal": loop.nominal,
             "seed": loop.seed,
             "within_limits": loop.within_limits,
-            "latency": loop.latency,
+            "latency": msgspec.structs.replace(loop.latency, margin=loop.latency.margin + age),
             "lag": loop.actuator.lag,
             "lead": loop.lead,
             "filtered": loop.smoothing if loop.sensor.velocity != "model" else 0.0,

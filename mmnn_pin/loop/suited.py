@@ -41,7 +41,7 @@ from ..torque.controller import Bears, Feedback
 from ..torque.neural import Neural, Robust
 from .before_run import Start, lags, viscous_friction
 from .rates import Kind, borne, largest_rate
-from .sampled import HeldLoop, Machinery, held_loop, margin_at
+from .sampled import HeldLoop, Machinery, held_loop, margin_at, weight_slope
 from .servo import Servo
 from .servo_model import LinearServos, linear_servos
 from .sight import VelocityFilter
@@ -193,11 +193,12 @@ SCALED = Robust(1.0, 1.0)  # a robust term that was not given, beside gains from
 
 
 class Postures(NamedTuple):
-    """Places at which a loop is judged: mass matrices (p, p), `held_velocities`, and velocities of the reference."""
+    """Places at which a loop is judged."""
 
-    masses: list[Array]
-    held: list[Array]
-    velocities: Array
+    masses: list[Array]  # mass matrices (p, p)
+    slopes: list[Array]  # of gravity (n, n)
+    held: list[Array]  # `held_velocities`
+    velocities: Array  # of the reference
 
     def loops(self, robot: Robot, given: LoopToSuit, gains: Array, slow: int = 0) -> list[HeldLoop | None]:
         """The loop where it is fastest with gains (p,), at `JUDGED` places, and at some where it is slowest."""
@@ -207,7 +208,9 @@ class Postures(NamedTuple):
         chosen = {*fast.tolist(), *np.argsort([each.min() for each in modes])[:slow].tolist()}
         K, base = given.kinematic.arm_gains(layout), given.kinematic.base_gains(layout)
         laws = {i: robot.base.linear_errors(self.velocities[i], base) for i in chosen}
-        return [held_loop(self.masses[i], laws[i], K, given.period, machinery) for i in sorted(chosen)]
+        return [
+            held_loop(self.masses[i], laws[i], K, given.period, machinery, self.slopes[i], True) for i in sorted(chosen)
+        ]
 
 
 @lru_cache(16)
@@ -216,9 +219,12 @@ def places(robot: Robot, given: LoopToSuit) -> Postures:
     table = postures(robot, POSTURES)
     if given.reference:
         table = np.frombuffer(given.reference).reshape(-1, table.shape[1])
-    masses = mass_matrices(robot, (Start().state(robot, row)[0] for row in table))
+    positions = [Start().state(robot, row)[0] for row in table]
+    masses = mass_matrices(robot, positions)
     held = [held_velocities(M, viscous_friction(robot), given.period) for M in masses]
-    return Postures(masses, held, Setpoint.side_by_side(table, robot.dimensions).velocity)
+    return Postures(
+        masses, weight_slopes(robot, positions), held, Setpoint.side_by_side(table, robot.dimensions).velocity
+    )
 
 
 @lru_cache(64)
@@ -283,6 +289,19 @@ def mass_matrices(robot: Robot, positions: Iterable[Array]) -> list[Array]:
         terms.refresh(position, still)
         found.append(terms.M.copy())
     return found
+
+
+def weight_slopes(robot: Robot, positions: Iterable[Array]) -> list[Array]:
+    """Slopes of gravity at some positions (nv,), see `sampled.weight_slope`."""
+    terms, still = terms_of(robot), np.zeros(robot.dimensions.dof)
+
+    def gravity(position: Array) -> Array:
+        terms.refresh(position, still)
+        weight = np.zeros(still.size)
+        terms.refresh_psi(still, still, weight)
+        return weight
+
+    return [weight_slope(robot, gravity, position) for position in positions]
 
 
 def timing_for(robot: Robot, timing: Timing) -> Timing:

@@ -317,6 +317,7 @@ class MessageLine(NamedTuple):
     faults: Array  # (measurements, 2) how many measurements later still, negative for lost, and what is added
     of_base: int  # how many numbers tell of the base, the first of a message: its pose and velocity
     every: int  # measurements from one time that these are new to the next
+    base_late: int  # measurements by which they are later than the rest
     slots: Array  # (longest delay + 1, message) state: what is under way
 
     @internal
@@ -337,3 +338,6 @@ class MessageLine(NamedTuple):
         if count == 0 or newer:
             wire.clock[RECEIVED] = max(arrived, 0)
             copy_to(self.slots[max(arrived, 0) % self.slots.shape[0]], wire.received)
+            base = self.slots[max(arrived - self.base_late, 0) % self.slots.shape[0]]
+            for i in range(self.of_base):
+                wire.received[i] = base[i]

@@ -57,6 +57,7 @@ class Sensor(Settings, frozen=True):
         velocity_noise: Of the velocities as they are sent, one number or one per velocity [m/s, rad/s].
         pose_noise: Of the pose as it is sent (x, y, phi) [m, m, rad].
         base_period: Time after which pose and velocity of the base are new, in whole measurements; 0 for every one [s].
+        base_delay: How late these are beside the rest, in whole measurements [s].
         delay: Delay of the line, in measurements.
         jitter: Largest further delay, in measurements; every whole number up to it is equally likely.
         loss: Probability that a message is lost; the controller keeps what it had.
@@ -80,13 +81,14 @@ class Sensor(Settings, frozen=True):
     velocity_noise: float | tuple[float, ...] = 0.0
     pose_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
     base_period: float = 0.0
+    base_delay: float = 0.0
     delay: int = 0
     jitter: int = 0
     loss: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
-            if name.endswith(("resolution", "noise", "base_period")):
+            if name.endswith(("resolution", "noise", "base_period", "base_delay")):
                 require_gain(getattr(self, name), f"sensor.{name}")
             elif name.endswith("offset") and not np.all(np.isfinite(getattr(self, name))):
                 what = f"{getattr(self, name)} is not finite"
@@ -123,10 +125,13 @@ class Sensor(Settings, frozen=True):
 
     def base_age(self, period: float) -> float:
         """How old pose and velocity of the base become before there are new ones [s]; likewise."""
-        return (self._every(period) - 1) * period
+        return (self._every(period) - 1 + self._base_late(period)) * period
 
     def _every(self, period: float) -> int:
         return max(1, math.ceil(self.base_period / period - 1e-9))
+
+    def _base_late(self, period: float) -> int:
+        return math.ceil(self.base_delay / period - 1e-9)
 
     def on(
         self,
@@ -153,7 +158,7 @@ class Sensor(Settings, frozen=True):
         """
         layout, period = robot.dimensions, float(period)
         faults = np.zeros((count, 2)) if faults is None else faults
-        state = self.init(robot, faults) if state is None else state
+        state = self.init(robot, period, faults) if state is None else state
         places, n, p, K = self._encoders(robot), layout.arm, layout.dof, layout.shape
         nw, rows = len(places), np.ascontiguousarray(robot.T_at(robot.rest)[places, : layout.base])
         W = pseudo_inverse(rows) if nw else np.zeros((layout.base, 0))
@@ -190,17 +195,18 @@ class Sensor(Settings, frozen=True):
                 faults,
                 layout.pose + layout.base,
                 self._every(period),
+                self._base_late(period),
                 slots.reshape(-1, size),
             ),
         )
         return Sensors(period, wire, effects)
 
-    def init(self, robot: Robot, faults: Array | None = None) -> Array:
+    def init(self, robot: Robot, period: float, faults: Array | None = None) -> Array:
         """State before the first measurement: clock, encoders, odometry, what was received, the line."""
         layout = robot.dimensions
         size = message_size(layout)
         latest = 0 if faults is None else int(max(faults[:, 0].max(initial=0.0), 0.0))
-        depth = self.delay + self.jitter + 1 + latest
+        depth = self.delay + self.jitter + 1 + latest + self._base_late(period)
         encoders = COLUMNS * (len(self._encoders(robot)) + layout.arm)
         return np.zeros(CLOCK + encoders + layout.pose + sum(self._modelled(robot)) + (depth + 1) * size)
 

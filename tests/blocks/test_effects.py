@@ -323,7 +323,7 @@ def test_a_line_delays_by_whole_measurements_loses_and_corrupts():
     wire.clock[:] = 0.0
     faults, uniforms = np.zeros((n, 2)), np.zeros((n, 2))
     uniforms[:, 1], faults[5, 0], faults[6, 1] = 0.5, -1.0, 100.0
-    line, got = MessageLine(1, 0, 0.1, uniforms, faults, 0, 1, np.zeros((2, 1))), []
+    line, got = MessageLine(1, 0, 0.1, uniforms, faults, 0, 1, 0, np.zeros((2, 1))), []
     for k in range(n):
         wire.message[0] = k
         line.act(wire, k, 0.0)

@@ -216,7 +216,14 @@ def test_the_base_is_new_as_seldom_as_it_is_told_and_the_arm_at_once(delay):
         np.testing.assert_array_equal(seldom[name], exact[name][told])
     for name in ("q", "qdot"):
         np.testing.assert_array_equal(seldom[name], exact[name])
+    late = measured(Sensor(delay=delay, base_period=2.5 * PERIOD, base_delay=1.5 * PERIOD), position, nu)
+    for name in ("pose", "velocity"):
+        np.testing.assert_array_equal(late[name][2:], seldom[name][:-2])
+        np.testing.assert_array_equal(late[name][:2], np.tile(exact[name][0], (2, 1)))
+    for name in ("q", "qdot"):
+        np.testing.assert_array_equal(late[name], exact[name])
     assert Sensor(base_period=2.5 * PERIOD).base_age(PERIOD) == pytest.approx(2 * PERIOD)
+    assert Sensor(base_period=2.5 * PERIOD, base_delay=1.5 * PERIOD).base_age(PERIOD) == pytest.approx(4 * PERIOD)
     assert Sensor(base_period=0.5 * PERIOD).base_age(PERIOD) == 0.0
 
 

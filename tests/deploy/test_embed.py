@@ -167,6 +167,37 @@ def test_fuzzed_samples_have_the_same_bits(tmp_path):
     assert status == 0 and "600 samples, 0 differ" in said, said
 
 
+@needs_gcc
+def test_motors_that_take_a_current_or_a_duty_are_sent_it(tmp_path):
+    """The C's own division beside that of the table."""
+    joints = (
+        '{arm_1_joint={interface="current", torque_constant=0.7}, arm_2_joint={interface="pwm", torque_constant=9}}'
+    )
+    more = ("--steps", "20", "--set", f"hardware.joints={joints}")
+    told = embedded(tmp_path / "c", "pd", *more)
+    assert told["units"] == {"arm_1_joint": ["current", 0.7], "arm_2_joint": ["pwm", 9.0]}
+    calls = 'controller.row[MMNN_ROW_MOTOR_TORQUE + j] = 2.1; printf("%.17g ", mmnn_motor_sent(&controller, j));'
+    main_ = f"int main(void) {{ for (int j = 0; j < MMNN_MOTORS; j++) {{ {calls} }} return 0; }}"
+    program = f'#include <stdio.h>\n#include "controller.h"\nstatic mmnn_controller controller;\n{main_}\n'
+    (tmp_path / "sent.c").write_text(program)
+    sources = [str(tmp_path / "c" / f"{name}.c") for name in ("controller", "robot_law", "mmnn_math", "tuning")]
+    command = [
+        "gcc",
+        *STRICT,
+        "-I",
+        str(tmp_path / "c"),
+        *sources,
+        str(tmp_path / "sent.c"),
+        "-o",
+        str(tmp_path / "sent"),
+    ]
+    subprocess.run(command, check=True)
+    sent = subprocess.run([tmp_path / "sent"], capture_output=True, text=True, check=True).stdout.split()
+    assert [float(x) for x in sent] == [2.1, 2.1, 2.1 / 0.7, 2.1 / 9.0]
+    header = (tmp_path / "c" / "controller.h").read_text()
+    assert "arm_1_joint: current [A" in header and "arm_2_joint: pwm [share of full duty" in header
+
+
 def test_the_two_layer_network_fits_into_twenty_kilobytes(exported):
     """Code and constants on a Cortex-M7 (a third of it holds references and measurements to the promise), and RAM."""
     require("cortex-m7")

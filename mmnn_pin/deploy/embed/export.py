@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,7 @@ def embed(  # noqa: PLR0913 - options, by keyword alone
     memory: int = MEMORY,
     processor: str = "",
     limits: Limits = Limits(),  # noqa: B008 (frozen)
+    units: Mapping[str, tuple[str, float]] = {},
 ) -> Embedded:
     """Write the controller of a loop, its kinematic layer and its supervisor as C99 source, and run its self-test.
 
@@ -90,6 +92,8 @@ def embed(  # noqa: PLR0913 - options, by keyword alone
         processor: Name of a Cortex-M7 (`instructions.PROCESSORS`): the worst sample of the self-test, which is counted
             on an emulated board, has to fit into its period; empty for no count.
         limits: Of the references that it makes, and of the samples that it is handed.
+        units: By motor that takes a "current" or "pwm": which, and the torque per unit [N m/A or N m]; the C has
+            `mmnn_motor_sent` then.
 
     Raises:
         ConfigError: The controller is plain Python or too large, the plant has contacts, motors have no limits, the
@@ -113,7 +117,7 @@ def embed(  # noqa: PLR0913 - options, by keyword alone
     stepper = Fresh.of(supervised(loop), limits=limits)
     require_limits(stepper)
     title = plain(f"{loop.controller.name} for {loop.robot.name}")
-    export = translated(stepper, title, "float" if single else "double", diagnostics)
+    export = translated(stepper, title, "float" if single else "double", diagnostics, units)
     require_small(export, memory)
     texts = files_of(export)
     events = usual_events(loop, stepper.period, steps)

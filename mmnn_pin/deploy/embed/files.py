@@ -66,6 +66,7 @@ class Export:
     title: str  # controller and robot in words
     structs: dict[str, list[StructField]]  # fields of what a board may change, `gains` and `limits`
     carrier: Carrier | None  # what carries a payload, of a controller that believes in a model; None for others
+    units: Mapping[str, tuple[str, float]]  # of motors that take a "current" or "pwm": which, and the torque per unit
 
     @cached_property
     def settings(self) -> str:
@@ -114,7 +115,13 @@ class Export:
             found = called
 
 
-def translated(stepper: board.Fresh, title: str, real: str = "double", diagnostics: bool = True) -> Export:
+def translated(
+    stepper: board.Fresh,
+    title: str,
+    real: str = "double",
+    diagnostics: bool = True,
+    units: Mapping[str, tuple[str, float]] = {},
+) -> Export:
     """Translate the step of a stepper; without diagnostics what only tells of the excitation is left out.
 
     Raises:
@@ -172,7 +179,7 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
             program.function(program.source(function), {"b": whole, **arguments})
 
     program.translate(call_all)
-    return Export(stepper, program, title, structs, carrier)
+    return Export(stepper, program, title, structs, carrier, units)
 
 
 def goes_back(stepper: Stepper) -> bool:
@@ -419,6 +426,7 @@ def facts(export: Export) -> dict[str, Any]:
         "period": stepper.period,
         "motors": layout.motors,
         "motor_names": [plain(name) for name in stepper.robot.actuator_names],
+        "sent": sent(export),
         "timeout": stepper.follower.timeout,
         "measurement": [(name, size, units[name]) for name, _, size in measured],
         "setpoint": [(name, size, units[name]) for name, _, size in asked],
@@ -440,6 +448,18 @@ def facts(export: Export) -> dict[str, Any]:
         "number_bytes": 8 if program.real == "double" else 4,
         "remembered": [(m.name, m.data.size) for m in export.remembered],
     }
+
+
+def sent(export: Export) -> list[tuple[int, str, str]]:
+    """Motors that take a torque in another unit: place, what is sent as a comment, and the torque per unit in C."""
+    single, found = export.program.real != "double", []
+    for j, name in enumerate(export.stepper.robot.actuator_names):
+        if name in export.units:
+            kind, constant = export.units[name]
+            unit = "A, with N m/A or N/A" if kind == "current" else "share of full duty, with N m or N at all of it"
+            number = numbers(np.array([constant]), "real", single, 1).strip()
+            found.append((j, f"{plain(name)}: {kind} [{unit}]", number))
+    return found
 
 
 def structs_of(export: Export) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
@@ -26,7 +27,7 @@ from ...recording.recording import Recording
 from ...settings.arguments import checked, unknown_key, wrong_type
 from .controllers import of_today
 from .experiment import FITTED, Experiment
-from .hardware import COARSEST, Fitted, borne, require_strength
+from .hardware import COARSEST, WAYS_OUT, Fitted, UnfitHardware, borne, require_strength
 from .hardware_table import beside_urdf, read_hardware
 from .origins import of_override
 from .references import as_long_as_its_file
@@ -90,6 +91,21 @@ def users_own(path: Path) -> Path | None:
 
 
 def on_hardware(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str], kind: type[E]) -> E:
+    """An experiment on its hardware, arguments and errors as of `fitted_to`; a refusal names a profile that can."""
+    given = deepcopy(table)
+    try:
+        return fitted_to(table, own, texts, kind)
+    except UnfitHardware as error:
+        fix = error.fix
+        for name, what in WAYS_OUT.items():
+            with suppress(InputError):
+                fitted_to(deepcopy(given) | {"hardware": name}, own, texts, kind)
+                fix += f"; --hardware {name} {what}"
+                break
+        raise error.but(fix=fix) from None
+
+
+def fitted_to(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str], kind: type[E]) -> E:
     """An experiment with all that follows from its table of hardware, on top of what it starts from.
 
     Args:

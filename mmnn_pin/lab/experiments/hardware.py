@@ -36,10 +36,18 @@ ROOM = 1.25  # times the gains of the kinematic layer that are taken, the loop b
 JUDGED = "computed_torque"  # the controller whose loop is: none has more feedback inside
 UNKNOWN = "unknown"  # the profile for what has no other
 PLAIN_BANDWIDTH = 30.0  # of a servo of which nothing is said [1/s]
-OTHER = "name hardware that it has; --hardware unknown takes the torques of its URDF"
+OTHER = "name hardware that it has"
+WAYS_OUT = {  # profiles that may be named in place of hardware that cannot, and what they are
+    UNKNOWN: "takes the torques of its URDF",
+    "ideal": "has torques at once, measured exactly",
+}
 UNITS = ("current", "pwm")  # interfaces that are efforts in other units
 OFFERS = {"arm": POSITION, "slides": POSITION, "wheels": VELOCITY, "steering": POSITION}  # of "offered"
 PER_TURN = ("stiffness", "damping", "integral", "stall", "dead_band", "profile_speed", "profile_acceleration")
+
+
+class UnfitHardware(ConfigError):
+    """Hardware that cannot move a robot as it is asked to."""
 
 
 class Fitted:
@@ -79,7 +87,7 @@ class Fitted:
             if fnmatch.fnmatchcase(name, pattern):
                 said |= {f: v for f in JointHardware.__struct_fields__ if (v := getattr(one, f)) is not None}
         if said.get("interface") == "offered":
-            there = offered[name]
+            there = [kind for kind in offered[name] if kind in (POSITION, VELOCITY)]
             said["interface"] = OFFERS[group] if OFFERS[group] in there or not there else there[0]
         if said.get("interface") in UNITS and "torque_constant" not in said:
             what, why = f"'{name}' takes a {said['interface']}", "how much torque that makes is not known"
@@ -150,10 +158,10 @@ class Fitted:
             found[name] = value / (motor.torque_constant or 1.0) if motor.interface in UNITS else value
         return found
 
-    def units(self) -> dict[str, str]:
-        """By joint, what a driver sends of an effort to motors that take it in another unit, see `sent`."""
+    def units(self) -> dict[str, tuple[str, float]]:
+        """By joint, the interface of motors that take an effort in another unit, and the torque per unit (`sent`)."""
         named = zip(self.robot.actuator_names, self.motors, strict=True)
-        return {n: f"{m.interface} = effort / {m.torque_constant:g}" for n, m in named if m.interface in UNITS}
+        return {n: (m.interface, m.torque_constant or 1.0) for n, m in named if m.interface in UNITS}
 
     def _gaps(self) -> Array:
         """Backlash of every motor that can be simulated: of rotors that are lighter than what they drive."""
@@ -203,15 +211,15 @@ class Fitted:
             sensor["pose"] = "odometry"
         if hardware.base.rate and self.robot.dimensions.base:
             sensor["base_period"] = 1.0 / hardware.base.rate
+        if hardware.base.delay and self.robot.dimensions.base:
+            sensor["base_delay"] = hardware.base.delay
         return {"sensor": sensor} if sensor else {}
 
     def _times(self) -> dict[str, Any]:
-        hardware, base = self.hardware, self.hardware.base
+        hardware, found = self.hardware, dict[str, Any]()
         period = None if hardware.rate is None else 1.0 / hardware.rate
-        delay = hardware.delay + (base.delay if self.robot.dimensions.base else 0.0)
-        found: dict[str, Any] = {}
-        if delay or hardware.jitter:
-            found["latency"] = {"command": delay, "jitter": hardware.jitter}
+        if hardware.delay or hardware.jitter:
+            found["latency"] = {"command": hardware.delay, "jitter": hardware.jitter}
         if period is not None:
             found["time"] = {"control_period": period, "plant_step": period / math.ceil(period / COARSEST - 1e-9)}
         return found
@@ -243,7 +251,7 @@ def short(values: Any) -> Any:
 
 
 def require_strength(fitted: Fitted, experiment: Experiment, robot: Robot) -> None:
-    """Refuse motors that cannot carry what the reference asks for (`ConfigError`)."""
+    """Refuse motors that cannot carry what the reference asks for (`UnfitHardware`)."""
     trajectory, duration = experiment.trajectory_of(robot), experiment.time.duration
     load = MotorLoad(robot).along(trajectory, duration)[0]
     if load.max(initial=0.0) <= 1.0:
@@ -254,7 +262,7 @@ def require_strength(fitted: Fitted, experiment: Experiment, robot: Robot) -> No
         f"{name_of(fitted.hardware)} is too weak",
         f"{name} needs {load[j] * most:.3g} N m or N, it gives {most:.3g}",
     )
-    raise ConfigError(f"{what} for {robot.name}", why=why, fix=OTHER, key="--hardware")
+    raise UnfitHardware(f"{what} for {robot.name}", why=why, fix=OTHER, key="--hardware")
 
 
 def name_of(hardware: HardwareTable) -> str:
@@ -270,7 +278,7 @@ def borne(experiment: Experiment, robot: Robot) -> dict[str, Any]:
         robot: Its robot.
 
     Raises:
-        ConfigError: It bears none.
+        UnfitHardware: It bears none.
     """
     whole, names = experiment.loop(robot, JUDGED).plan(), robot.base.gain_names
     alike = whole.servo is not None and bool(whole.servo.on.all())  # no feedback is to suit these gains
@@ -299,7 +307,7 @@ def borne(experiment: Experiment, robot: Robot) -> dict[str, Any]:
         assert experiment.hardware is not None
         what = f"{name_of(experiment.hardware)} is too slow or too soft for {robot.name}"
         why = "the whole loop is unstable with any gains of the kinematic layer"
-        raise ConfigError(what, why=why, fix=OTHER, key="--hardware")
+        raise UnfitHardware(what, why=why, fix=OTHER, key="--hardware")
     share = float(SHARES[low])
     apart = [(1.0, share), (share, 1.0)] if whole.gains.size and whole.K.size else []
     return with_shares(*next((pair for pair in apart if bears(*pair)), (share, share)))

@@ -28,7 +28,8 @@ class JointHardware(Settings, frozen=True):
 
     Args:
         interface: What is sent: "effort", "velocity", "position"; "current" or "pwm" for an effort in these units;
-            "offered" for what the URDF's `ros2_control` tags offer, a position for joints, a velocity for wheels first.
+            "offered" for what the URDF's `ros2_control` tags offer, a position for joints, a velocity for wheels first;
+            never an effort, which needs motors that are known.
         bandwidth: Of the servo [1/s]; of a position servo with a stiffness that over its damping.
         stiffness: Kp of a position servo [N m/rad or N/m], see `loop.servo.Servo`, like those that follow.
         damping: Kd of it, back-EMF included [N m s/rad or N s/m].
@@ -82,7 +83,7 @@ class BaseHardware(Settings, frozen=True):
     Args:
         odometry: Where its pose comes from: "wheels", integrated from their encoders, or "true".
         rate: How often pose and velocity of it are new [1/s]; the loop is judged as if all were as old as these become.
-        delay: Of it, which all measurements have then [s].
+        delay: How late pose and velocity of it are beside the rest, likewise [s].
         lag: Time constant of its velocity [s]: of a velocity interface that over which it follows, where wheels'
             `bandwidth` is not slower; of wheels that take efforts that of their torque.
     """
@@ -94,6 +95,8 @@ class BaseHardware(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         require_numbers(self, "base", ("rate", "lag"))
+        if self.delay > 1.0:
+            raise ConfigError(f"{self.delay:g} s", fix="give seconds from 0 to 1", key="base.delay")
 
 
 class HardwareTable(Settings, frozen=True):

@@ -109,7 +109,7 @@ def test_groups_patterns_and_single_joints_find_their_motors():
     found = fitted.settings()
     four = np.arange(4.0)
     sent = fitted.sent(Command(four, four, four, four, four + 10.0, four + 20.0, four[:2]))
-    assert fitted.units() == {second: "current = effort / 0.2"}
+    assert fitted.units() == {second: ("current", 0.2)}
     assert sent == {left: 10.0, right: 11.0, first: 22.0, second: 3.0 / 0.2}
     assert found["interfaces"] == {left: "velocity", right: "velocity", first: "position"}
     assert found["servo"]["bandwidth"] == [8.0, 8.0, 20.0, 30.0]  # nothing is known of the last one
@@ -132,14 +132,16 @@ def test_a_base_has_a_rate_and_a_lag_of_its_own():
         return Fitted(table, robot).settings()
 
     slow = found(rate=20.0, delay=0.02, lag=0.25)
-    assert slow["sensor"] == {"base_period": 0.05} and slow["latency"]["command"] == pytest.approx(0.03)
+    assert slow["sensor"] == {"base_period": 0.05, "base_delay": 0.02} and slow["latency"]["command"] == 0.01
     assert slow["servo"]["bandwidth"][:2] == [4.0, 4.0] and "lag" not in slow["actuator"]
     assert found(lag=0.25, wheels=wheels)["servo"]["bandwidth"][:2] == [4.0, 4.0]
     assert found(lag=0.05, wheels=wheels)["servo"]["bandwidth"][:2] == [8.0, 8.0]
     assert found(lag=0.05, wheels=JointHardware())["actuator"]["lag"] == [0.05, 0.05, 0.0, 0.0]
-    told = on("platform_arm", '{profile="unknown", base={rate=10.0}}', "time.duration=0.5")
+    told = on("platform_arm", '{profile="unknown", base={rate=10.0, delay=0.04}}', "time.duration=0.5")
     run, plan = told.loop(robot, "pd"), told.loop(robot, "pd").plan()
-    assert plan.latency == pytest.approx(told.latency.total + 4 * 0.02)
+    assert plan.latency == pytest.approx(told.latency.total + 6 * 0.02)
+    with Stepper.of(run, safety=Safety(torque="urdf")) as stepper:
+        assert stepper.setup.known.margin == pytest.approx(told.latency.margin + 6 * 0.02)
     pose = run.run()["pose"]
     changed = np.flatnonzero((np.diff(pose, axis=0) != 0.0).any(axis=1)) + 1
     assert changed.size and not (np.diff(changed) % 5).any()
@@ -201,12 +203,18 @@ def test_a_table_within_an_experiment_names_its_own_keys():
 
 
 @needs_data
-@pytest.mark.parametrize(("robot", "text"), [("z1", "too weak for z1"), ("platform_arm", "too slow or too soft for")])
-def test_hardware_that_cannot_is_refused_and_the_way_out_works(robot, text):
+@pytest.mark.parametrize(
+    ("robot", "hardware", "text"),
+    [
+        ("z1", "feetech-sts3215", "too weak for z1"),
+        ("platform_arm", "feetech-sts3215", "too slow or too soft for"),
+        ("kinova", '{profile="unknown", arm={interface="effort"}}', "too slow or too soft for"),  # its weight falls
+    ],
+)
+def test_hardware_that_cannot_is_refused_and_the_way_out_works(robot, hardware, text):
     with pytest.raises(ConfigError, match=text) as refused:
-        on(robot, "feetech-sts3215")
-    hardware = re.search(r"--hardware (\S+)", refused.value.fix)[1]
-    found = on(robot, hardware)
+        on(robot, hardware)
+    found = on(robot, re.search(r"--hardware (\S+)", refused.value.fix)[1])
     require_runnable(found, found.load_robot())
 
 
