@@ -24,11 +24,12 @@ from ...files import parsed_toml, read_toml
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...recording.recording import Recording
+from ...settings import Settings
 from ...settings.arguments import checked, unknown_key, wrong_type
 from .controllers import of_today
 from .experiment import FITTED, Experiment
 from .hardware import COARSEST, WAYS_OUT, Fitted, UnfitHardware, borne, require_strength
-from .hardware_table import beside_urdf, read_hardware
+from .hardware_table import beside_urdf, file_of, read_hardware
 from .origins import of_override
 from .references import as_long_as_its_file
 
@@ -117,9 +118,12 @@ def fitted_to(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str
     Raises:
         InputError: Hardware that cannot be, a robot that cannot, motors too weak for the motion.
     """
-    hardware = read_hardware(table["hardware"], merged)
+    file, hardware = file_of(table["hardware"]), read_hardware(table["hardware"], merged)
     robot = load_with(table["robot"], msgspec.convert(table.get("overrides", {}), Overrides))
-    fitted = Fitted(hardware, robot)
+    try:
+        fitted = Fitted(hardware, robot)
+    except InputError as error:
+        raise error if file is None else error.but(file=file, key=(error.key or "").removeprefix("hardware.")) from None
     said = merged({}, {key: value for key, value in own.items() if key != "hardware"})
     for text in texts:
         override(said, text)
@@ -411,7 +415,7 @@ def require_disturbances(items: Any) -> None:
 
 
 def config_error(
-    error: msgspec.ValidationError, path: Path | None, table: Any = None, root: type[Experiment] = Experiment
+    error: msgspec.ValidationError, path: Path | None, table: Any = None, root: type[Settings] = Experiment
 ) -> ConfigError:
     """The key path and a line of advice out of a message such as "Expected `int` - at `$.seed`".
 
@@ -447,7 +451,7 @@ def config_error(
     return ConfigError(what, fix=fix, file=path, key=key)
 
 
-def with_names(key: str, table: Any, root: type[Experiment]) -> str:
+def with_names(key: str, table: Any, root: type[Settings]) -> str:
     """A key path with `*`, which stands for a name, as that of the first entry there that is of the wrong type."""
     head, star, rest = key.partition(".*")
     if not star:
@@ -472,7 +476,7 @@ def value_at(table: Any, key: str | None) -> Any:
     return table if key else None
 
 
-def kind_at(key: str | None, table: Any = None, root: type[Experiment] = Experiment) -> Any:
+def kind_at(key: str | None, table: Any = None, root: type[Settings] = Experiment) -> Any:
     """The type that stands at a key path, of a table with a `type` the one that it says; None where there is none."""
     kind: Any = root
     for part in (key or "").split("."):

@@ -13,11 +13,10 @@ from typing import Any, Literal
 
 import msgspec
 
-from ...errors import ConfigError, InputError, UnknownKey, UnknownName
+from ...errors import ConfigError, InputError, UnknownName
 from ...files import read_toml
 from ...model.robots import find
 from ...settings import Settings, require_numbers
-from ...settings.arguments import unknown_key, wrong_type
 
 PROFILES = Path(__file__).parent / "profiles"
 GROUPS = ("arm", "slides", "wheels", "steering")
@@ -141,9 +140,11 @@ class HardwareTable(Settings, frozen=True):
     def __post_init__(self) -> None:
         if self.rate is not None and not 1.0 <= self.rate <= 1e4:
             raise ConfigError(f"{self.rate:g} control samples per second", fix="use 1 to 10000", key="rate")
-        if not (0.0 <= self.delay <= 1.0 and 0.0 <= self.jitter <= 1.0):
-            fix = "give seconds from 0 to 1"
-            raise ConfigError(f"{self.delay:g} and {self.jitter:g} s", fix=fix, key="delay")
+        for name in ("delay", "jitter"):
+            if not 0.0 <= (value := getattr(self, name)) <= 1.0:
+                raise ConfigError(f"{value:g} s", fix="give seconds from 0 to 1", key=name)
+        if not 0.0 < self.filter <= 1e4:
+            raise ConfigError(f"{self.filter:g} rad/s", fix="use a number > 0, up to 10000", key="filter")
 
 
 def profiles() -> dict[str, Path]:
@@ -159,6 +160,11 @@ def beside_urdf(robot: str) -> str | None:
         return None
     file = path.parent / f"{path.name.partition('.')[0]}.hardware.toml"
     return str(file) if lexists(file) else None
+
+
+def file_of(given: Any) -> Path | None:
+    """The file that a table is read from, given as to `read_hardware`; None for a profile and for a table itself."""
+    return Path(given) if isinstance(given, str) and given not in profiles() else None
 
 
 def read_hardware(given: str | Mapping[str, Any], merge: Callable[..., dict[str, Any]]) -> HardwareTable:
@@ -190,7 +196,7 @@ def completed(
     """The whole table of `read_hardware`, and the file that it stands in; None for none."""
     file: Path | None = None
     if isinstance(given, str):
-        file = profiles().get(given, Path(given))
+        file = file_of(given) or profiles()[given]
         if given not in profiles() and (not file.suffix or not lexists(file)):
             if file.suffix:
                 raise ConfigError("no such file", fix=f"or name one of: {', '.join(profiles())}", file=file)
@@ -213,17 +219,14 @@ def completed(
 
 def converted(value: Any, kind: type[Settings], file: Path | None, prefix: str) -> Any:
     """One table as settings of a kind; errors name its file, or its key within an experiment."""
+    from .config import config_error  # it imports this module
+
     front = prefix if file is not None else f"hardware.{prefix}"
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        message, _, where = str(error).partition(" - at ")
-        key = (front + where.strip("`").removeprefix("$").removeprefix(".")).rstrip(".") or None
-        if (unknown := unknown_key(error)) is not None:
-            fix = f"there is: {', '.join(kind.__struct_fields__)}"
-            raise UnknownKey(unknown, fix=fix, file=file, key=key) from None
-        what, fix = wrong_type(message)
-        raise ConfigError(what, fix=fix, file=file, key=key) from None
+        found = config_error(error, file, value, kind)
+        raise found.but(key=f"{front}{found.key or ''}".rstrip(".") or None) from None
     except ConfigError as error:
         own = (error.key or "").removeprefix(".").removeprefix("base.")
         raise error.but(file=file, key=f"{front}{own}".rstrip(".")) from None

@@ -188,6 +188,20 @@ def test_who_says_more_counts_more_and_messages_name_the_users_own_file(tmp_path
     beside.write_text("[arm]\nencoder = -1.0\n")
     with pytest.raises(ConfigError, match=rf"{re.escape(str(beside))}:?\d*:? ?arm.encoder: error: -1"):
         on(urdf, None)
+    for text, line in {
+        "[joints.elbow]\ntorque = 3.0\n": ":joints: error: unknown joint 'elbow': there is: wheel_left_joint",
+        "[arm]\ninterface = 'pwm'\n": ":joints.arm_1_joint: error: 'arm_1_joint' takes a pwm",
+        "[arm]\ninterface = 'torque'\n": ":arm.interface: error: unknown value 'torque': there is: effort, velocity, ",
+        "[wheel]\nspeed = 3.0\n": ": error: unknown key 'wheel': did you mean 'wheels'?",
+        "[base]\ndelay = 30\n": ":base.delay: error: 30 s: give seconds from 0 to 1",
+        "jitter = 20\n": ":jitter: error: 20 s: give seconds from 0 to 1",
+        "filter = 0\n": ":filter: error: 0 rad/s: use a number > 0",
+        "joints.a.rate = 'x'\n": ":joints.a.rate: error: 'x' is a text: give a number",
+    }.items():
+        beside.write_text(text)
+        with pytest.raises(InputError) as error:
+            on(urdf, None)
+        assert str(error.value).startswith(f"{beside}{line}")
     beside.write_text('profile = "mine.hardware.toml"\n')
     with pytest.raises(ConfigError, match="starts from itself"):
         on(urdf, None)
