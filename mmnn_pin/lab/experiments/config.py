@@ -65,8 +65,10 @@ def load_as(kind: type[E], name_or_path: str | Path, overrides: Iterable[str], v
     if variant is not None:
         path = find_variant(path, variant)
     table = complete(path)
+    further = [text for text in texts if text.startswith("hardware.")]  # on top of whatever hardware there is
     for text in texts:
-        override(table, text)
+        if text not in further:
+            override(table, text)
     if any(text.startswith("reference.file") for text in texts) and "title" not in {text[:5] for text in texts}:
         table["title"] = f"The motion of {Path(str(table['reference']['file'])).name}"
     own = from_its_folder(read_toml(path), path)
@@ -76,8 +78,13 @@ def load_as(kind: type[E], name_or_path: str | Path, overrides: Iterable[str], v
     try:
         require_overrides(table.get("overrides", {}))
         require_disturbances(table.get("disturbances"))
-        if given := table.get("hardware") or beside_urdf(str(table.get("robot", ""))):
-            table["hardware"] = given
+        if "hardware" not in table and (beside_it := beside_urdf(str(table.get("robot", "")))):
+            table["hardware"] = beside_it
+        if further and isinstance(named := table.get("hardware"), str):
+            table["hardware"] = {"profile": named}
+        for text in further:
+            override(table, text)
+        if table.get("hardware") is not None:
             return on_hardware(table, own if path.parent != FOLDER else {}, texts, kind)
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
@@ -126,7 +133,8 @@ def fitted_to(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str
         raise error if file is None else error.but(file=file, key=(error.key or "").removeprefix("hardware.")) from None
     said = merged({}, {key: value for key, value in own.items() if key != "hardware"})
     for text in texts:
-        override(said, text)
+        if text.partition("=")[0].partition(".")[0].strip() != "hardware":
+            override(said, text)
 
     def under(settings: Mapping[str, Any]) -> None:
         kept = {key: said[key] for key in settings if key in said}

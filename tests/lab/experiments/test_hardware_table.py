@@ -182,6 +182,11 @@ def test_who_says_more_counts_more_and_messages_name_the_users_own_file(tmp_path
     read = load_experiment(own, [*ONE, "servo.bandwidth=12"])
     assert (read.servo.gain, read.servo.bandwidth, read.time.control_period) == (0.1, 12.0, 0.01)
     assert on(urdf, "ideal").interfaces == {}
+    slow = {name: on(urdf, name, "hardware.rate=25.0") for name in (None, "unknown")}  # on top of either
+    assert {name: found.time.control_period for name, found in slow.items()} == {None: 0.04, "unknown": 0.04}
+    assert [slow[name].servo.bandwidth[2] for name in slow] == [25.0, 15.0]
+    with pytest.raises(ConfigError, match=r"--set hardware\.arm\.stifness: error: unknown key 'stifness': did you mean 'stiffness'"):
+        on(urdf, "unknown", "hardware.arm.stifness=3.0")
     beside.write_text("[arm]\nstifness = 3.0\n")
     with pytest.raises(InputError, match=rf"{re.escape(str(beside))}.*arm.*stifness"):
         on(urdf, None)
