@@ -185,7 +185,9 @@ def test_who_says_more_counts_more_and_messages_name_the_users_own_file(tmp_path
     slow = {name: on(urdf, name, "hardware.rate=25.0") for name in (None, "unknown")}  # on top of either
     assert {name: found.time.control_period for name, found in slow.items()} == {None: 0.04, "unknown": 0.04}
     assert [slow[name].servo.bandwidth[2] for name in slow] == [25.0, 15.0]
-    with pytest.raises(ConfigError, match=r"--set hardware\.arm\.stifness: error: unknown key 'stifness': did you mean 'stiffness'"):
+    with pytest.raises(
+        ConfigError, match=r"--set hardware\.arm\.stifness: error: unknown key 'stifness': did you mean 'stiffness'"
+    ):
         on(urdf, "unknown", "hardware.arm.stifness=3.0")
     beside.write_text("[arm]\nstifness = 3.0\n")
     with pytest.raises(InputError, match=rf"{re.escape(str(beside))}.*arm.*stifness"):
