@@ -29,7 +29,7 @@ from ...settings.arguments import checked, unknown_key, wrong_type
 from .controllers import of_today
 from .experiment import FITTED, Experiment
 from .hardware import COARSEST, WAYS_OUT, Fitted, UnfitHardware, borne, require_strength
-from .hardware_table import beside_urdf, file_of, read_hardware
+from .hardware_table import GROUPS, BaseHardware, HardwareTable, JointHardware, beside_urdf, completed, file_of
 from .origins import of_override
 from .references import as_long_as_its_file
 
@@ -125,7 +125,7 @@ def fitted_to(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str
     Raises:
         InputError: Hardware that cannot be, a robot that cannot, motors too weak for the motion.
     """
-    file, hardware = file_of(table["hardware"]), read_hardware(table["hardware"], merged)
+    file, hardware = file_of(table["hardware"]), read_hardware(table["hardware"])
     robot = load_with(table["robot"], msgspec.convert(table.get("overrides", {}), Overrides))
     try:
         fitted = Fitted(hardware, robot)
@@ -162,6 +162,41 @@ def fitted_to(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str
     FITTED.clear()
     FITTED[experiment.of_robot()] = true
     return experiment
+
+
+def read_hardware(given: str | Mapping[str, Any]) -> HardwareTable:
+    """A table of hardware on top of the profile that it starts from.
+
+    Args:
+        given: Name of a profile, a file, or a table.
+
+    Raises:
+        UnknownName: No such profile or key.
+        ConfigError: A file that cannot be read, a value that cannot be.
+    """
+    table, file = completed(given, merged, ())
+    kinds = dict.fromkeys(GROUPS, JointHardware) | {"base": BaseHardware}
+    for name, value in table.items():
+        if name in kinds:
+            as_hardware(value, kinds[name], file, f"{name}.")
+        elif name == "joints" and isinstance(value, Mapping):
+            for joint, item in value.items():
+                as_hardware(item, JointHardware, file, f"joints.{joint}.")
+    made: HardwareTable = as_hardware(table, HardwareTable, file, "")
+    return made
+
+
+def as_hardware(value: Any, kind: type[Settings], file: Path | None, prefix: str) -> Any:
+    """One table as settings of a kind; errors name its file, or its key within an experiment."""
+    front = prefix if file is not None else f"hardware.{prefix}"
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        found = config_error(error, file, value, kind)
+        raise found.but(key=f"{front}{found.key or ''}".rstrip(".") or None) from None
+    except ConfigError as error:
+        own = (error.key or "").removeprefix(".").removeprefix("base.")
+        raise error.but(file=file, key=f"{front}{own}".rstrip(".")) from None
 
 
 def on_other_hardware(base: E, table: dict[str, Any], said: Mapping[str, Any]) -> E:

@@ -163,37 +163,24 @@ def beside_urdf(robot: str) -> str | None:
 
 
 def file_of(given: Any) -> Path | None:
-    """The file that a table is read from, given as to `read_hardware`; None for a profile and for a table itself."""
+    """The file that a table is read from, given as to `completed`; None for a profile and for a table itself."""
     return Path(given) if isinstance(given, str) and given not in profiles() else None
-
-
-def read_hardware(given: str | Mapping[str, Any], merge: Callable[..., dict[str, Any]]) -> HardwareTable:
-    """A table of hardware on top of the profile that it starts from.
-
-    Args:
-        given: Name of a profile, a file, or a table.
-        merge: Two tables into one, the second counts more.
-
-    Raises:
-        UnknownName: No such profile or key.
-        ConfigError: A file that cannot be read, a value that cannot be.
-    """
-    table, file = completed(given, merge, ())
-    kinds = dict.fromkeys(GROUPS, JointHardware) | {"base": BaseHardware}
-    for name, value in table.items():
-        if name in kinds:
-            converted(value, kinds[name], file, f"{name}.")
-        elif name == "joints" and isinstance(value, Mapping):
-            for joint, item in value.items():
-                converted(item, JointHardware, file, f"joints.{joint}.")
-    made: HardwareTable = converted(table, HardwareTable, file, "")
-    return made
 
 
 def completed(
     given: str | Mapping[str, Any], merge: Callable[..., dict[str, Any]], before: tuple[Path, ...]
 ) -> tuple[dict[str, Any], Path | None]:
-    """The whole table of `read_hardware`, and the file that it stands in; None for none."""
+    """A table of hardware on top of the profile that it starts from, and the file that it stands in; None for none.
+
+    Args:
+        given: Name of a profile, a file, or a table.
+        merge: Two tables into one, the second counts more.
+        before: Files that started from this one.
+
+    Raises:
+        UnknownName: No such profile.
+        ConfigError: A file that cannot be read.
+    """
     file: Path | None = None
     if isinstance(given, str):
         file = file_of(given) or profiles()[given]
@@ -215,18 +202,3 @@ def completed(
         raise error.but(file=file, key="profile" if file else "hardware.profile") from None
     sources = [*inner.get("sources", ()), *given.get("sources", ())]
     return merge(inner, given) | ({"sources": sources} if sources else {}), file
-
-
-def converted(value: Any, kind: type[Settings], file: Path | None, prefix: str) -> Any:
-    """One table as settings of a kind; errors name its file, or its key within an experiment."""
-    from .config import config_error  # it imports this module
-
-    front = prefix if file is not None else f"hardware.{prefix}"
-    try:
-        return msgspec.convert(value, kind)
-    except msgspec.ValidationError as error:
-        found = config_error(error, file, value, kind)
-        raise found.but(key=f"{front}{found.key or ''}".rstrip(".") or None) from None
-    except ConfigError as error:
-        own = (error.key or "").removeprefix(".").removeprefix("base.")
-        raise error.but(file=file, key=f"{front}{own}".rstrip(".")) from None

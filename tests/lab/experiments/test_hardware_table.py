@@ -14,9 +14,9 @@ from mmnn_pin.deploy.ros2.settings import settings_of
 from mmnn_pin.deploy.ros2.wiring import interfaces
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.files import read_toml
-from mmnn_pin.lab.experiments.config import merged
+from mmnn_pin.lab.experiments.config import read_hardware
 from mmnn_pin.lab.experiments.hardware import Fitted, lines, proposed
-from mmnn_pin.lab.experiments.hardware_table import BaseHardware, HardwareTable, JointHardware, profiles, read_hardware
+from mmnn_pin.lab.experiments.hardware_table import BaseHardware, HardwareTable, JointHardware, profiles
 from mmnn_pin.lab.experiments.runner import require_runnable, run_experiment
 from mmnn_pin.loop.servo import Command
 from mmnn_pin.loop.suited import MotorLoad
@@ -44,7 +44,7 @@ def on(robot, hardware, *more):
 
 @pytest.mark.parametrize("name", profiles())
 def test_a_profile_has_a_source_for_what_it_says_and_says_what_is_assumed(name):
-    table = read_hardware(name, merged)
+    table = read_hardware(name)
     assert table.title and table.sources and not table.notes and table.profile in {"", *profiles()}
     guessed = [source for source in table.sources if source.startswith("assumed: ")]
     assert guessed or name == "ideal"
@@ -55,12 +55,12 @@ def test_a_profile_has_a_source_for_what_it_says_and_says_what_is_assumed(name):
 def test_numbers_of_the_servos_follow_from_their_data_sheets():
     """Kt / R of BAM and the P gains of LeRobot and Robotis, once more."""
     kt, R, volt = 1.2116, 2.6762, 7.4
-    feetech = read_hardware("feetech-sts3215", merged).arm
+    feetech = read_hardware("feetech-sts3215").arm
     assert feetech.stall == pytest.approx(kt * volt / R, rel=2e-3)
     assert feetech.damping == pytest.approx(kt**2 / R, rel=2e-3)
     assert feetech.torque == pytest.approx(19.5 * 9.81e-2, rel=2e-3)
     assert feetech.speed == pytest.approx(math.radians(60) / 0.192, rel=2e-3)
-    xm430 = read_hardware("dynamixel-xm430", merged).arm
+    xm430 = read_hardware("dynamixel-xm430").arm
     duty = 800 / 128 / 885 * 4096 / math.tau  # per radian
     assert xm430.stiffness == pytest.approx(duty * 4.1, rel=5e-3)
     assert xm430.damping == pytest.approx(4.1 / (46 * math.tau / 60), rel=5e-3)
@@ -77,7 +77,7 @@ def test_a_robot_is_proposed_the_hardware_of_its_name():
 
 @needs_data
 def test_what_follows_from_a_profile_is_what_one_would_write_by_hand():
-    found = Fitted(read_hardware("feetech-sts3215", merged), load("so101")).settings()
+    found = Fitted(read_hardware("feetech-sts3215"), load("so101")).settings()
     joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
     servo = {"bandwidth": pytest.approx(17.8 / 0.6081), "stiffness": 17.8, "damping": 0.549, "stall": 3.35}
     assert found == {
@@ -159,14 +159,14 @@ def test_limits_of_a_table_stand_in_place_of_the_urdfs_for_everybody():
 
 
 def test_casters_whose_motors_drive_the_base_are_driven_alike():
-    kinds = Fitted(read_hardware("unknown", merged), load("casters_arm")).settings()["interfaces"]
+    kinds = Fitted(read_hardware("unknown"), load("casters_arm")).settings()["interfaces"]
     assert {kind for name, kind in kinds.items() if not name.startswith("arm")} == {"velocity"}
 
 
 @needs_data
 def test_a_joint_that_slides_has_no_servo_per_radian():
     robot = load("tiago_no_hand")
-    fitted = Fitted(read_hardware("feetech-sts3215", merged), robot)
+    fitted = Fitted(read_hardware("feetech-sts3215"), robot)
     lift = fitted.motors[robot.actuator_names.index("torso_lift_joint")]
     assert lift == JointHardware(interface="position", rate=1000.0)
 
