@@ -12,8 +12,8 @@ the feedback inside it, `M [alphadot; K edot]`, which is judged beside. Where ve
 alike (a delay that is no whole number of periods counts as a phase, as between samples).
 
 **Gravity.** Its slope along the arm is a spring, mostly of a negative stiffness where an arm stands up. A torque at the
-measured joints cancels it, as late as all torques are; what is left of it pushes as a negative damping does. A PID
-cancels none.
+measured joints cancels it, as late as all torques are; what is left of it pushes as a negative damping does. Under a
+PID, whose integral carries the weight by errors, it is not counted.
 
 **Where it is judged.** Along the reference. An arm under PD sags below it, and is judged where it comes to rest, too:
 at the nearest minimum of `1/2 (q_ref - q)' k K (q_ref - q) + U(q)`, with the stiffness of U. The worst counts.
@@ -337,10 +337,9 @@ def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | N
         position, _ = Start().state(robot, plan.setpoints[i])
         v_ref = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
         loop = robot.base.linear_errors(v_ref, plan.gains), plan.K, slowest(plan), machinery_of(plan)
-        sags = isinstance(plan.controller, PD | ScheduledPD)
-        M, slope = dynamics.mass_matrix(position), None if sags else weight_slope(robot, dynamics.gravity, position)
-        found.append(held_loop(M, *loop, slope, carries(plan)))
-        if sags:
+        slope = weight_slope(robot, dynamics.gravity, position) if carries(plan) else None
+        found.append(held_loop(dynamics.mass_matrix(position), *loop, slope, True))
+        if isinstance(plan.controller, PD | ScheduledPD):
             springs = (share * gains_of(plan))[robot.dimensions.base :] * plan.K
             by_torque = np.ones(springs.size) if servo is None else servo.on[robot.dimensions.base :] == 0.0
             if (stiffness := sag(dynamics, position, springs, np.flatnonzero(by_torque))) is not None:
@@ -349,7 +348,7 @@ def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | N
 
 
 def carries(plan: Plan) -> bool:
-    """Whether a torque at the measured joints carries an arm's weight; an integral's goes by errors alone."""
+    """Whether a torque at the measured joints carries an arm's weight: not that of a PD or a PID."""
     controller = plan.controller
     if isinstance(controller, CompiledController) and controller.networks is None:
         return controller.uses_model or not isinstance(controller.law(plan.context).learner, Integrator | None)

@@ -492,10 +492,7 @@ def test_the_stiffness_of_gravity_moves_the_eigenvalues_of_a_pendulum() -> None:
 @settings(deadline=None, max_examples=25)
 @given(st.floats(-40.0, 40.0), st.floats(2.0, 10.0), st.floats(1.0, 7.0), st.floats(1e-3, 0.02))
 def test_gravity_that_is_carried_late_is_in_the_margin(G: float, k: float, K: float, h: float) -> None:
-    """`M q'' = -G q + tau`, tau some whole periods late as a chain of states: stable up to the margin, not beyond.
-
-    A PID cancels no slope: it is stable where its spring is stiffer than gravity.
-    """
+    """`M q'' = -G q + tau`, tau some whole periods late as a chain of states: stable up to the margin, not beyond."""
     M, late = 1.3, 30
     A, B = np.array([[0.0, 1.0], [-G / M, 0.0]]), np.array([[0.0], [1.0 / M]])
     Phi, Gamma, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), h, "zoh")
@@ -512,7 +509,3 @@ def test_gravity_that_is_carried_late_is_in_the_margin(G: float, k: float, K: fl
         stable = np.abs(np.linalg.eigvals(chain)).max() < 1.0
         if abs(delay * h - margin) > 1e-6:
             assert stable == (delay * h < margin), (delay * h, margin)
-    alone = sampled.held_loop(*loop, stiffness=np.array([[G]]))
-    assert alone is not None
-    if abs(k * K * M + G) > 0.1 and h * k < 0.1:
-        assert (alone.radius(gains, False) < 1.0) == (k * K * M + G > 0.0)
