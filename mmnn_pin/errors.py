@@ -93,7 +93,7 @@ class InputError(MmnnError):
         key = f"{self.option} {self.key}" if given else self.key
         where = [str(part) for part in (self.file, self.line, key) if part is not None]
         text = ": ".join(part for part in (self.what, self.why, self.fix) if part)
-        return f"{':'.join(where)}: error: {text}" if where else f"error: {text}"
+        return printable(f"{':'.join(where)}: error: {text}" if where else f"error: {text}")
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..elementary.matrices import inverse
 from ..errors import ConfigError, UnknownName
 from ..settings import Numbers, one_or_each
-from ..settings.arguments import checked, checked_but, faced
+from ..settings.arguments import checked, checked_but, faced, is_numeric
 from ..shown import ShownView, shown
 from ..signals import Array
 from .dynamics import Dynamics
@@ -237,10 +237,9 @@ class Robot(Structure):
         Raises:
             ConfigError: Another number of them, or one that is not finite.
         """
-        try:
-            array = np.asarray(values, float)
-        except (TypeError, ValueError):
-            raise ConfigError("not a list of numbers", fix=f"give {', '.join(names)}", key=what) from None
+        if not is_numeric(values):
+            raise ConfigError("not a list of numbers", fix=f"give {', '.join(names)}", key=what)
+        array = np.asarray(values, float)
         if array.shape != (len(names),):
             given = (
                 f"{array.size} number{'s' * (array.size != 1)}"

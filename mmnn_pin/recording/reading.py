@@ -62,9 +62,9 @@ def open_run(path: Path) -> Iterator[h5py.File]:
     Raises:
         RecordingError: No such file, not HDF5, not a recording, or written by a newer mmnn_pin.
     """
-    if not path.is_file():
-        raise RecordingError("no such recording", fix=OURS, file=path)
     try:
+        if not path.is_file():
+            raise RecordingError("no such recording", fix=OURS, file=path)
         endless = endless_heap(path)
     except OSError as error:
         raise RecordingError("cannot read the recording", why=reason(error), fix=AGAIN, file=path) from error

@@ -328,6 +328,7 @@ def require_shapes(key: str, given: object, mine: object) -> None:
         raise ConfigError(what, fix=fix, key=key)
     for name in mine.__slots__:  # type: ignore[attr-defined]
         value, ours = getattr(given, name), getattr(mine, name).shape
-        shape = value.shape if isinstance(value, np.ndarray) else np.shape(value) if is_numeric(value) else None
-        if shape != ours:
+        if not is_numeric(value):
+            raise ConfigError(f"a {key} with {name} that is no array of numbers", fix=f"give {ours[0]}", key=key)
+        if (shape := np.shape(value)) != ours:
             raise ConfigError(f"a {key} with {name} of shape {shape}", fix=f"give one of shape {ours}", key=key)

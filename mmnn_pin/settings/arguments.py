@@ -200,7 +200,7 @@ def fits(value: Any, kind: Any) -> bool:
         return len(value) == len(parts) and all(map(fits, value, parts))
     try:
         msgspec.convert(bare(value), kind)
-    except (msgspec.ValidationError, RecursionError):  # the second: a list that holds itself
+    except (msgspec.ValidationError, ValueError, RecursionError):  # no Unicode, a signalling NaN; a list in itself
         return False
     except TypeError:  # of items of several classes
         items = value.values() if isinstance(value, Mapping) else value
@@ -247,9 +247,9 @@ def is_numbers(kind: Any) -> bool:
 
 
 def is_numeric(value: Any) -> bool:
-    """Whether numpy makes numbers of a value."""
+    """Whether numpy makes numbers of a value; of one that is masked it would make those under the mask."""
     if isinstance(value, np.ndarray):
-        return value.dtype.kind in "biuf"
+        return value.dtype.kind in "biuf" and not isinstance(value, np.ma.MaskedArray)
     try:
         return np.asarray(value).dtype.kind in "biuf"
     except Exception:  # whatever its own methods raise

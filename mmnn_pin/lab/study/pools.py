@@ -30,6 +30,7 @@ from .worker import Bundle, Trial, TrialResult, code_digest, run
 RETRIES = 2  # of a run whose worker raised; a run whose worker died is made again by the scheduler itself
 LEAST, EACH = 64, 8  # runs that a cluster is given at a time: at least, and for each of its threads
 TIMEOUT = 10.0  # to connect [s]
+SILENCE = 60.0  # of a scheduler that is there: it is busy, or was stopped [s]
 
 
 @dataclass
@@ -148,7 +149,8 @@ def cluster(address: str) -> Iterator[Pool]:
     with quiet():
         client = connected(distributed, address)
 
-        gone = MmnnError(f"the scheduler at {address} is gone; the same command goes on with what is missing")
+        lost = f"the scheduler at {address} is gone, or silent for {SILENCE:g} s"
+        gone = MmnnError(f"{lost}; the same command goes on with what is missing")
 
         def check() -> None:
             if client.status not in ("running", "connecting"):
@@ -157,7 +159,8 @@ def cluster(address: str) -> Iterator[Pool]:
         def window() -> int:
             check()
             try:
-                return max(LEAST, EACH * sum(client.nthreads().values()))
+                threads = client.sync(client.scheduler.ncores, callback_timeout=SILENCE)
+                return max(LEAST, EACH * sum(threads.values()))
             except (OSError, TimeoutError):
                 raise gone from None
 

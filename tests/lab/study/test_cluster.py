@@ -170,12 +170,14 @@ def test_a_cluster_with_tls_lets_in_who_holds_its_certificate_and_nobody_else(tm
         made.stop()
 
 
-def test_a_scheduler_that_goes_away_is_told_and_loses_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_scheduler_that_goes_away_or_says_nothing_is_told_and_loses_nothing(end, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(dask, "SILENCE", 3.0)
     made = Cluster(tmp_path, None)
     try:
         plan = planned(tmp_path)
         with dask.cluster(made.address) as pool, pytest.raises(MmnnError, match="the same command goes on with what"):
-            threading.Timer(1.0, made.processes[0].kill).start()
+            threading.Timer(1.0, made.processes[0].send_signal, (end,)).start()
             list(execute(pool, plan, [0]))
     finally:
         made.stop()
