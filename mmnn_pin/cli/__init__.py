@@ -184,6 +184,11 @@ def usage_error(error: click.ClickException) -> InputError:
     """The complaint of click in our form."""
     context = getattr(error, "ctx", None)
     if context and isinstance(error, click.NoSuchOption):
+        if error.option_name.lstrip("-") in [
+            one.name for one in context.command.params if isinstance(one, click.Argument)
+        ]:
+            fix = f"leave it out: {context.command_path} {error.option_name.lstrip('-').upper()}"
+            return InputError(f"unknown option '{error.option_name}'", why="what follows stands alone here", fix=fix)
         options = [name for parameter in context.command.params for name in parameter.opts if name.startswith("--")]
         return UnknownName("option", error.option_name, [*options, "--help"])
     what = error.format_message().rstrip(".")

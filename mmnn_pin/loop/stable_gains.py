@@ -48,8 +48,8 @@ def require_stable_gains(plan: Plan) -> None:
             require_servo_rows(plan, what)
             cure = cured(plan, np.min([each.gain_limits for each in found], axis=0))
             if cure is None and (delay := known_delay(plan)) > 0.0:
-                what = f"the loop does not bear a latency of {1e3 * delay:.3g} ms"
-                why = f"no gains were found that do (spectral radius {verdict.radius:.4g} > 1)"
+                what = f"the loop does not bear a latency of {1e3 * delay:g} ms"
+                why = f"no gains were found that do (spectral radius {verdict.radius:.7g} > 1)"
                 raise ConfigError(what, why=why, fix="shorten the latency", key="latency")
             require_stable(verdict, gains_of(plan), plan.robot.velocity_names, h, cure)
     if known_delay(plan) > 0.0:
@@ -140,7 +140,7 @@ def require_margin(plan: Plan) -> None:
     margin, delay = delay_margin(plan), known_delay(plan)
     if margin > delay:
         return
-    what = f"the loop does not bear a latency of {1e3 * delay:.3g} ms"
+    what = f"the loop does not bear a latency of {1e3 * delay:g} ms"
     require_servo_rows(plan, what)
     share = largest_share(plan)
     fix, less = "lower the gains of the kinematic layer, or shorten the latency", None

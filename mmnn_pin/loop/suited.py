@@ -385,15 +385,25 @@ class MotorLoad:
 
 
 def tightest(robot: Robot, trajectory: Trajectory, duration: float, share: float) -> str:
-    """The limit of which a motion at its own pace takes most, in words; empty where it takes no more than a share."""
-    load = MotorLoad(robot).along(replace(trajectory, slowness=1.0), duration)
-    if load.max(initial=0.0) <= share:
+    """The limit for which a motion of `followable` is as slow as it is, in words; empty where none asks for it."""
+    load = MotorLoad(robot)
+    faster = load.along(replace(trajectory, slowness=max(trajectory.slowness / SLOWER, 1.0)), duration)
+    static = load.along(replace(trajectory, slowness=SLOWEST), duration)
+    over_enough = faster / enough_of(static, share)
+    if over_enough.max(initial=0.0) <= 1.0:
         return ""
-    kind, motor = np.unravel_index(int(load.argmax()), load.shape)
+    kind, motor = np.unravel_index(int(over_enough.argmax()), over_enough.shape)
     limit = (robot.effort_limits, speed_limits(robot))[kind][motor]
-    name = robot.actuator_names[motor]
+    name, always = robot.actuator_names[motor], static[kind, motor]
     slides = robot.model.joints[robot.model.getJointId(name)].shortname().startswith("JointModelP")
-    return f"{name} has at most {limit:.3g} {(('N m', 'N'), ('rad/s', 'm/s'))[kind][slides]}"
+    takes = f"{always:.0%} go into gravity and friction at any pace" if always > share else ""
+    takes = takes or f"it may take {share:.0%} (reference.share)"
+    return f"{name} has at most {limit:.3g} {(('N m', 'N'), ('rad/s', 'm/s'))[kind][slides]}, of which {takes}"
+
+
+def enough_of(static: Array, share: float) -> Array:
+    """How much of its limits each motor may be asked for, where a slow motion asks for `static`, (2, motors) both."""
+    return np.maximum(share, static + LEFT * np.maximum(1.0 - static, 0.1))
 
 
 def over(value: Array, limit: Array) -> Array:
@@ -448,7 +458,7 @@ def followable(
             best, static = tried, load_there
         if static.max(initial=0.0) <= share:
             break
-    slowness, enough = to_steer.slowness, np.maximum(share, static + LEFT * np.maximum(1.0 - static, 0.1))
+    slowness, enough = to_steer.slowness, enough_of(static, share)
     while slowness < SLOWEST and (load.along(replace(best, slowness=slowness), duration, enough) > enough).any():
         slowness = min(SLOWER * slowness, SLOWEST)
     return replace(best, slowness=slowness)

@@ -426,6 +426,7 @@ BAD = {
     "no load": (["judge", "x.h5", "--payload", "nan"], ["--payload", "nan is no number"]),
     "unknown command": (["fly"], ["unknown command 'fly'", "readings, model, plot"]),
     "unknown option": (["run", "chapter4", "--robt", "x"], ["unknown option '--robt'", "--robot"]),
+    "an argument by name": (["view", "--robot", "x"], ["unknown option '--robot'", "mmnn view ROBOT"]),
     "unknown plot": (["plot", "x.h5", "--what", "wieghts"], ["wieghts", "errors", "psi"]),
     "missing argument": (["run"], ["EXPERIMENT", "--help"]),
     "missing toml": (["run", "mine.toml"], ["mine.toml", "no such file"]),

@@ -321,10 +321,8 @@ def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
     if isinstance(path, Enlarged):
         notes.append(f"the path is drawn {path.factor:.3g} times as large: what steers asks for it")
     if reference.slowness > 1.0:
-        share, slower = experiment.reference.share, f"the reference takes {reference.slowness:.3g} times as long"
-        limit = tightest(robot, reference, experiment.time.duration, share)
-        why = f"{limit}, of which it may take {share:.0%} (reference.share)" if limit else "what steers asks for it"
-        notes.append(f"{slower}: {why}")
+        why = tightest(robot, reference, experiment.time.duration, experiment.reference.share)
+        notes.append(f"the reference takes {reference.slowness:.3g} times as long: {why or 'what steers asks for it'}")
     notes += reference.notes
     end, now = reference.duration, experiment.time.duration
     if experiment.reference.file and now + experiment.time.control_period < end < np.inf:

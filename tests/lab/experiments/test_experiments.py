@@ -392,6 +392,22 @@ def test_a_motion_that_is_slowed_down_names_the_motor_that_asks_for_it() -> None
     assert 0.5 * 0.075 < np.abs(np.diff(q)).max() / 0.01 < 0.0751  # as slow as it must be, no slower
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.9])
+def test_the_limit_that_is_named_is_the_one_that_makes_it_slow(friction: float) -> None:
+    """Wheels are furthest beyond their limit at first; where friction takes nearly all, the last joint decides."""
+    limits = {"speed_limits": [8.0, 8.0, 99.0, 99.0], "effort_limits": [99.0, 99.0, 99.0, 0.8]}
+    overrides = [f"friction.coulomb=[0,{friction}]", "friction.arm=[0,0.3]", "masses.arm_2_joint=0.02"]
+    overrides += [f"{name}={values}" for name, values in limits.items()]
+    track = load_experiment("track", overrides)
+    robot = track.load_robot()
+    [note] = [n for n in reference_notes(track, robot) if "times as long" in n]
+    assert ("arm_2_joint has at most 0.8 N m" in note) == bool(friction)
+    assert ("go into gravity and friction at any pace" in note) == bool(friction)
+    named = "effort_limits" if friction else "speed_limits"
+    free = load_experiment("track", [*overrides, f"{named}={[10.0 * limit for limit in limits[named]]}"])
+    assert free.trajectory_of(free.load_robot()).slowness < track.trajectory_of(robot).slowness
+
+
 def test_a_key_without_its_table_is_told_with_it_and_the_advice_is_a_key() -> None:
     tables = {name: keys_of(kind_at(name, None, Experiment)) for name in keys_of(Experiment)}
     alone = sorted({key for keys in tables.values() for key in keys} - set(tables))[::40]
