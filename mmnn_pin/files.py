@@ -357,7 +357,7 @@ def locked(path: Path, what: str, kind: type[InputError] = RecordingError) -> It
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.with_name(f"{path.name}.lock").open("a+b", buffering=0)
     except OSError as error:
-        fix = way_out(error) or "choose another folder with --out"
+        fix = way_out(error) or "choose another folder"
         raise kind("the folder cannot be written to", why=reason(error), fix=fix, file=path) from None
     with file:
         try:
@@ -365,7 +365,7 @@ def locked(path: Path, what: str, kind: type[InputError] = RecordingError) -> It
         except BlockingIOError:
             file.seek(0)
             why = f"process {file.read().decode(errors='replace').strip() or 'unknown'} writes it"
-            fix = "wait for it, or choose another folder with --out"
+            fix = "wait for it, or choose another folder"
             raise kind(f"the {what} is in use", why=why, fix=fix, file=path) from None
         with suppress(OSError):  # a full disk must not keep anyone from reading on
             file.truncate(0)

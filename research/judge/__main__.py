@@ -5,7 +5,8 @@
 
 Rows are kept in FOLDER/results.jsonl as they come: Ctrl-C keeps what is done, and the next call goes on. What was run
 with other sources is run again. `--family final` is for the published table alone. --publish writes
-docs/explanation/judge.md and judge.csv of the rows that FOLDER has.
+docs/explanation/judge.md and judge.csv of all rows of `final` that FOLDER has of today's sources, once nothing that the
+other options ask for is missing.
 """
 
 from __future__ import annotations
@@ -171,11 +172,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if todo := missing(kept(file), wanted):
             run_missing(todo, file, options.workers)
     keys = {key for one in wanted for key in keys_of(one)}
-    rows = [row for row in kept(file) if key_of(row) in keys]
+    today = [row for row in kept(file) if row["sources"] == sources(row["controller"])]
+    rows = [row for row in today if key_of(row) in keys]
     if options.publish and (left := sum(len(one[4]) for one in missing(rows, wanted))):
         print(f"not published: {left} runs are missing, the same command goes on", file=sys.stderr)
     elif options.publish:
-        publish(rows)
+        publish([row for row in today if row["family"] == "final"])
     for plant in options.plants:
         for part, tables in parts_of_table([row for row in rows if row["plant"] == plant]).items():
             for title, own in tables.items():

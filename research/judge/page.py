@@ -64,7 +64,8 @@ def controllers_of(rows: Sequence[Row]) -> list[str]:
 def overall(rows: Sequence[Row]) -> str:
     """Scores of all controllers, the smallest median first."""
     scores = {name: score_of(paired(rows, name)) for name in controllers_of(rows)}
-    head = f"| controller | better [%] | median | 90 % | worst | lost | lost alone | arm | base |\n|{' --- |' * 9}"
+    names = "controller", "better [%]", "median", "90 %", "worst", "lost", "lost alone", "arm", "base", "draws"
+    head = f"| {' | '.join(names)} |\n|{' --- |' * len(names)}"
     lines = [f"| `{name}` | {line_of(scores[name])} |" for name in sorted(scores, key=lambda name: scores[name].median)]
     return "\n".join([head, *lines])
 
@@ -73,7 +74,7 @@ def line_of(s: Score) -> str:
     """Cells of a score."""
     ratios = (number(value, "lost") for value in (s.median, s.high, s.worst))
     parts = (number(value, "lost") for value in (s.arm, s.base))
-    return " | ".join([f"{100 * s.better:.0f}", *ratios, str(s.lost), str(s.alone), *parts])
+    return " | ".join([f"{100 * s.better:.0f}", *ratios, str(s.lost), str(s.alone), *parts, str(s.draws)])
 
 
 def by_part(parts: dict[str, list[Row]]) -> str:

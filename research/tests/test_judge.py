@@ -359,7 +359,7 @@ def test_page_has_the_scores_between_its_markers(tmp_path: Any) -> None:
         publish(made, page)
         found = page.read_text(encoding="utf-8")
         assert "old" not in found and found.endswith("end\n")
-        assert "| `learned` | 50 | 0.500 | lost | lost | 1 | 1 | 1.00 | 0.250 |" in found
+        assert "| `learned` | 50 | 0.500 | lost | lost | 1 | 1 | 1.00 | 0.250 | 2 |" in found
         assert "| median ratio | 0.5 or less | 0.500 |" in found
         assert "6 runs of 2 controllers on 4 draws of 1 robots, 3.0 hours" in found
     table = page.with_suffix(".csv").read_text(encoding="utf-8").splitlines()
