@@ -1,0 +1,174 @@
+"""Is the default learner lost where plain control is not? `python -m research.studies.lost [NAME ...] [--file FILE]`.
+
+Thirty cases that a robot may meet were written down, and a rival, before the first of them was run. `track` runs each
+with `learned`, `feedforward` and the rival: inverse dynamics of the URDF by Pinocchio at the reference's posture, and
+an integral, as an engineer would write it. A run is lost where it does not complete, or where a joint errs by 1 rad, or
+the base by 1 m. Ratios are of errors in the second half of a run, the RMS of the arm's joints and of the base's
+position, over those of `feedforward`. Rows are kept in FILE as they come, and not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mmnn_pin import Measurement, Setpoint, TorqueController, load_experiment
+from mmnn_pin.errors import InputError
+from mmnn_pin.lab.show.table import Column, Table, number, row_of, terminal_text
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.robot import Robot
+from mmnn_pin.recording.recording import Recording
+from mmnn_pin.signals import Array, VelocityCommand
+from mmnn_pin.torque.controller import Context
+
+HEAVY = "masses=1.2"
+DRY = ("friction.coulomb=0.3", "friction.arm=0.3")
+COARSE = ("sensor.resolution=0.0015", "sensor.wheel_resolution=0.0015", "time.control_period=0.002")
+DIFFERENCES = (*COARSE, 'sensor.velocity="difference"')
+FILTERED = (*COARSE, 'sensor.velocity="filtered"')
+LATE = ("latency.command=0.003", "sensor.delay=2")
+NOISE = ("sensor.noise=0.0002", "sensor.wheel_noise=0.0002", "sensor.velocity_noise=0.02")
+PUSH = 'disturbances=[{type="push",on="panda_joint2",force=15.0,start=3.0,end=5.0}]'
+HARDLY = ("reference.arm.amplitude=0.02", "time.duration=120")
+CASES: dict[str, tuple[str, ...]] = {
+    "URDF right, sensors exact": ("robot=panda",),
+    "masses a fifth wrong": ("robot=kinova", HEAVY),
+    "dry friction that no file states": ("robot=ur5", *DRY),
+    "differences of 12-bit encoders": ("robot=panda", HEAVY, *DIFFERENCES),
+    "the same, a mobile base": ("robot=platform_arm", HEAVY, *DRY, *DIFFERENCES),
+    "the same, a heavy arm": ("robot=ur10", HEAVY, *DIFFERENCES),
+    "filtered 12-bit encoders": ("robot=panda", HEAVY, *FILTERED),
+    "the same, with friction": ("robot=ur5", *DRY, *FILTERED),
+    "noise of encoders": ("robot=tiago_no_hand", HEAVY, *NOISE),
+    "a slow motion": ("robot=panda", *DRY, *FILTERED, "reference.arm.period=30", "time.duration=30"),
+    "a fast motion": ("robot=ur10", HEAVY, "reference.arm.period=2"),
+    "hobby servos": ("robot=so101", "hardware=feetech-sts3215", HEAVY),
+    "servos of position and velocity": ("robot=tiago", "hardware=tiago", HEAVY),
+    "a robot by torque": ("robot=panda", "hardware=franka", HEAVY),
+    "servos of an open manipulator": ("robot=so100", "hardware=dynamixel-xm430", HEAVY),
+    "a payload is picked up": ("robot=panda", 'disturbances=[{type="payload",mass=2.0,start=4.0}]'),
+    "and put down again": ("robot=ur5", 'disturbances=[{type="payload",mass=2.0,start=3.0,end=6.0}]'),
+    "5 ms that nobody told of": ("robot=panda", HEAVY, "sensor.delay=2", "time.control_period=0.002"),
+    "told delay and lag": ("robot=kinova", HEAVY, "actuator.lag=0.003", *LATE),
+    "messages lost and late": ("robot=tiago_no_hand", HEAVY, "sensor.loss=0.1", "sensor.jitter=2"),
+    "a hand pushes for 2 s": ("robot=panda", PUSH),
+    "a blocked joint": ("robot=ur5", 'disturbances=[{type="block",joint="elbow_joint",start=3.0,end=4.0}]'),
+    "motors at their limit": ("robot=kinova", "masses=1.4", "reference.share=0.95"),
+    "weak motors": ("robot=ur5", HEAVY, "actuator.torque_gain=0.8"),
+    "gears with play": ("robot=platform_arm", "actuator.gap=0.002", "actuator.rotor_inertia=0.01"),
+    "wheels of odometry, noise": ("robot=platform_arm", HEAVY, *DRY, *NOISE, 'sensor.pose="odometry"'),
+    "a car": ("robot=car_arm", HEAVY, *DRY),
+    "a minute": ("robot=platform_arm", HEAVY, *DRY, *DIFFERENCES, "time.duration=60"),
+    "two minutes of hardly moving": ("robot=panda", HEAVY, *DIFFERENCES, *HARDLY),
+    "learned light, goes on heavy": ("robot=panda",),
+}  # fmt: skip
+RESUMED = {"learned light, goes on heavy": (HEAVY,)}  # what is true in a second run that begins with what was learned
+LOST = 1.0  # error of a joint or of the base [rad, m]
+
+
+class Rival(TorqueController):
+    """`tau = M nudot_ref + C nu_ref + g + K s + 10 K int s` of the URDF at the reference's posture."""
+
+    name = "rival"
+
+    def __init__(self, robot: Robot, K: Array) -> None:
+        self.robot, self.model, self.K = robot, Dynamics(robot), K
+
+    def init(self, context: Context) -> Any:
+        """The integral and the period."""
+        return {"I": np.zeros(self.K.size), "h": context.control_period}
+
+    def step(
+        self, time: float, reference: Setpoint, measurement: Measurement, command: VelocityCommand, state: Any
+    ) -> Array:
+        """Torque of one sample."""
+        s, position = np.concatenate((command.z, command.r)), self.robot.neutral_position()
+        position[self.robot.arm_index], position[self.robot.shape_index] = reference.q, measurement.shape
+        state["I"] += 10.0 * state["h"] * self.K * s
+        nu = command.nu_ref
+        return self.K * s + state["I"] + self.model.psi(position, nu, nu, command.nudot_ref)
+
+
+def judged(name: str, controller: str) -> dict[str, Any]:
+    """The outcome of a case with a controller: why it is lost, empty where it is not, and errors of arm and base."""
+    try:
+        experiment = load_experiment("track", CASES[name])
+        robot = experiment.load_robot()
+        loop = experiment.loop(
+            robot, experiment.controller("feedforward" if controller == "rival" else controller, robot=robot)
+        )
+        if controller == "rival":
+            file = load_experiment("track", CASES[name][:1]).load_robot()
+            loop = replace(loop, controller=Rival(file, loop.controller.feedback.vector(robot.dimensions)))
+        run = loop.run()
+        if name in RESUMED and controller != "rival":
+            heavy = load_experiment("track", (*CASES[name], *RESUMED[name]))
+            again = heavy.loop(heavy.load_robot(), loop.controller)
+            state = loop.controller.init(loop.context())
+            state.values[:] = run.final["controller_state"]
+            run = again.run(state=state)
+    except InputError as error:
+        return {"lost": "", "refused": str(error)}
+    return errors_of(run, robot)
+
+
+def errors_of(run: Recording, robot: Robot) -> dict[str, Any]:
+    """Whether a run is lost, and RMS errors in its second half [rad, m]."""
+    e = run["true_e"]
+    base = np.hypot(*run["true_pose_error"][:, :2].T) if robot.dimensions.base else np.zeros(len(e))
+    lost = "" if run.outcome.status == "completed" else run.outcome.message
+    if not lost and max(np.abs(e).max(initial=0.0), base.max(initial=0.0)) > LOST:
+        lost = "errs by 1 rad or 1 m"
+    late = slice(len(e) // 2, None)
+    return {
+        "lost": lost,
+        "arm": float(np.sqrt((e[late] ** 2).mean())),
+        "base": float(np.sqrt((base[late] ** 2).mean())),
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Parse the command line, run what is missing, print."""
+    parser = argparse.ArgumentParser(prog="python -m research.studies.lost", description=__doc__.partition("\n")[0])
+    parser.add_argument("names", nargs="*", default=list(CASES))
+    parser.add_argument("--file", type=Path, default=Path("runs/lost.jsonl"))
+    options = parser.parse_args(arguments)
+    options.file.parent.mkdir(parents=True, exist_ok=True)
+    rows = [json.loads(line) for line in options.file.read_text().splitlines()] if options.file.exists() else []
+    found = {(row["case"], row["controller"]): row for row in rows}
+    shown = []
+    for name in options.names:
+        for controller in ("feedforward", "learned", "rival"):
+            if (name, controller) not in found:
+                found[name, controller] = {"case": name, "controller": controller, **judged(name, controller)}
+                with options.file.open("a", encoding="utf-8") as sink:
+                    sink.write(json.dumps(found[name, controller]) + "\n")
+        plain, ours, rival = (found[name, each] for each in ("feedforward", "learned", "rival"))
+        shown.append(row_of(name, *cells(plain, ours), *cells(plain, rival)))
+    heads = (Column("learned\n", text=True), Column("base\n"), Column("rival\n", text=True), Column("base\n"))
+    print(
+        terminal_text(
+            [Table("errors over those of feedforward", (Column(text=True), *heads), tuple(shown))], False, 120
+        )
+    )
+
+
+def cells(plain: dict[str, Any], own: dict[str, Any]) -> tuple[str, str]:
+    """Ratios of arm and base, or what was instead."""
+    for one in (plain, own):
+        if "refused" in one:
+            return "refused", ""
+    if own["lost"]:
+        return "lost" if not plain["lost"] else "both lost", ""
+    ratios = (own[each] / plain[each] if plain[each] else float("nan") for each in ("arm", "base"))
+    return tuple(number(ratio, "") for ratio in ratios)  # type: ignore[return-value]
+
+
+if __name__ == "__main__":
+    main()
