@@ -25,7 +25,7 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.signals import Array, VelocityCommand
-from mmnn_pin.torque.controller import Context
+from mmnn_pin.torque.controller import CompiledController, Context
 
 HEAVY = "masses=1.2"
 DRY = ("friction.coulomb=0.3", "friction.arm=0.3")
@@ -105,6 +105,7 @@ def judged(name: str, controller: str) -> dict[str, Any]:
         )
         if controller == "rival":
             file = load_experiment("track", CASES[name][:1]).load_robot()
+            assert isinstance(loop.controller, CompiledController)
             loop = replace(loop, controller=Rival(file, loop.controller.feedback.vector(robot.dimensions)))
         run = loop.run()
         if name in RESUMED and controller != "rival":
