@@ -114,16 +114,10 @@ def require_servo_rows(plan: Plan, what: str) -> None:
     if servos is None:
         return
     b = in_short(servos.law.bandwidth)
-    for share in SHARES[1:]:
-        gains, K = two_digits(share * plan.gains), two_digits(share * plan.K)
-        if all(holds(replace(plan, gains=f * gains, K=f * K)) for f in (1.0, ROOM)):
-            names = plan.robot.base.gain_names
-            base = zip(names, np.split(gains, len(names)), strict=True) if names else ()
-            texts = {name: in_short(tuple(part) if part.size > 1 else float(part[0])) for name, part in base}
-            values = Values("kinematic", texts | ({"K": in_short(as_given(K))} if K.size else {}))
-            why = f"the gains of the kinematic layer are too high for servos with a bandwidth of {b} 1/s"
-            fix = f"lower them, {values}, or shorten the control or sensor period"
-            raise ConfigError(what, why=why, fix=fix, key="kinematic", values=values)
+    if (values := lower_kinematics(plan)) is not None:
+        why = f"the gains of the kinematic layer are too high for servos with a bandwidth of {b} 1/s"
+        fix = f"lower them, {values}, or shorten the control or sensor period"
+        raise ConfigError(what, why=why, fix=fix, key="kinematic", values=values)
     weak = f"simulated servos with a bandwidth of {b} 1/s are too slow for it"
     tries = [("gain", factor, "the servos' law answers an error too strongly") for factor in (0.5, 0.2, 0.0)]
     for name, factor, why in (*tries, *(("bandwidth", factor, weak) for factor in FASTER if servos.simulated)):
@@ -135,6 +129,18 @@ def require_servo_rows(plan: Plan, what: str) -> None:
             raise ConfigError(what, why=why, fix=fix, key=f"servo.{name}", values=values)
 
 
+def lower_kinematics(plan: Plan) -> Values | None:
+    """Lower gains of the kinematic layer with which the loop of a plan holds, with some room; None without any."""
+    for share in SHARES[1:]:
+        gains, K = two_digits(share * plan.gains), two_digits(share * plan.K)
+        if all(holds(replace(plan, gains=f * gains, K=f * K)) for f in (1.0, ROOM)):
+            names = plan.robot.base.gain_names
+            base = zip(names, np.split(gains, len(names)), strict=True) if names else ()
+            texts = {name: in_short(tuple(part) if part.size > 1 else float(part[0])) for name, part in base}
+            return Values("kinematic", texts | ({"K": in_short(as_given(K))} if K.size else {}))
+    return None
+
+
 def require_margin(plan: Plan) -> None:
     """Refuse gains that do not bear the latency of a plan (`ConfigError`)."""
     margin, delay = delay_margin(plan), known_delay(plan)
@@ -142,11 +148,12 @@ def require_margin(plan: Plan) -> None:
         return
     what = f"the loop does not bear a latency of {1e3 * delay:g} ms"
     require_servo_rows(plan, what)
-    share = largest_share(plan)
-    fix, less = "lower the gains of the kinematic layer, or shorten the latency", None
+    fix, share = "shorten the latency", largest_share(plan)
     if share > 0.0:
-        less = feedback_values(share * gains_of(plan), plan)
-        fix = f"lower the feedback to {share:.4f} of it, {less}, or shorten the latency"
+        less: Values | None = feedback_values(share * gains_of(plan), plan)
+        fix = f"lower the feedback to {share:.4f} of it, {less}, or {fix}"
+    elif (less := lower_kinematics(plan)) is not None:
+        fix = f"lower the gains of the kinematic layer, {less}, or {fix}"
     why = f"its delay margin is {1e3 * margin:.3g} ms"
     raise ConfigError(what, why=why, fix=fix, key="latency", values=less)
 

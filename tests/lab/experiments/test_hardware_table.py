@@ -239,6 +239,16 @@ def test_hardware_that_cannot_is_refused_and_the_way_out_works(robot, hardware, 
     require_runnable(found, found.load_robot())
 
 
+@needs_data
+def test_a_latency_without_hardware_names_gains_that_hold_when_they_are_followed():
+    late = ["armature=[0, 0, 0, 0.239, 0.239, 0.239]", "latency.command=0.03", "controllers=['pd_gravity']"]
+    found = on("kinova", None, *late)
+    with pytest.raises(ConfigError, match=r"lower the gains of the kinematic layer, --set kinematic\.K=") as refused:
+        require_runnable(found, found.load_robot())
+    found = on("kinova", None, *late, re.search(r"--set (kinematic.K=\S+),", refused.value.fix)[1])
+    require_runnable(found, found.load_robot())
+
+
 ROD = """<robot name="rod"><link name="stand"/><link name="rod"><inertial><origin xyz="0.5 0 0"/><mass value="1"/>
 <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="turn" type="continuous"><parent link="stand"/><child link="rod"/><axis xyz="0 1 0"/>
