@@ -31,10 +31,12 @@ from mmnn_pin.lab.study.choice import Level
 from mmnn_pin.loop.servo import Command
 from mmnn_pin.model.checks.properties import CheckReport
 from mmnn_pin.shown import ShownPage, ShownPicture, ShownTable
-from mmnn_pin.signals import Measurement, Setpoint
-from mmnn_pin.torque.controller import ControllerState
+from mmnn_pin.signals import Measurement, Setpoint, VelocityCommand
+from mmnn_pin.torque.controller import Context, ControllerState
+from mmnn_pin.torque.learning_law import Sample
 
 Array = NDArray[np.float64]
+State = dict[str, Array]
 
 robot = assert_type(load("platform_arm"), Robot)
 q = assert_type(robot.random(np.random.default_rng(0)), Array)
@@ -72,20 +74,25 @@ class Sleeper(TorqueController):
 
     name = "sleeper"
 
-    def step(self, time, reference, measurement, command, state):  # type: ignore[no-untyped-def]
-        return np.zeros(command.z.size + command.r.size)
+    def init(self, context: Context) -> State:
+        return {"zero": np.zeros(context.layout.dof)}
+
+    def step(
+        self, time: float, reference: Setpoint, measurement: Measurement, command: VelocityCommand, state: State
+    ) -> Array:
+        return state["zero"] * np.concatenate((command.z, command.r))
 
 
 class Nothing(LearningLaw):
     """Learns nothing."""
 
-    def init(self, context):  # type: ignore[no-untyped-def]
+    def init(self, context: Context) -> ControllerState:
         return ControllerState.of(bias=(context.layout.dof,))
 
-    def estimate(self, sample, state):  # type: ignore[no-untyped-def]
+    def estimate(self, sample: Sample, state: ControllerState) -> Array:
         return state["bias"]
 
-    def learn(self, sample, state):  # type: ignore[no-untyped-def]
+    def learn(self, sample: Sample, state: ControllerState) -> None:
         state["bias"] += 0.0 * sample.s
 
 
