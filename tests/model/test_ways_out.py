@@ -125,6 +125,19 @@ def test_a_macro_that_uses_what_is_not_there_can_be_left_out(tmp_path):
     assert load(file, without=("cam",)).base.kind == "differential_drive"
 
 
+def test_macros_that_call_each_other_without_end_are_named_once(tmp_path):
+    text = "".join(f'<xacro:macro name="{a}"><xacro:{b}/></xacro:macro>' for a, b in ("pq", "qp"))
+    with pytest.raises(RobotError, match=r"recursion.*, in macro '[pq]' in '[pq]'") as error:
+        load(xacro(tmp_path, text + "<xacro:p/>" + ROBOT))
+    assert len(str(error.value)) < 500
+
+
+def test_a_link_that_leads_to_itself_is_not_offered_in_its_place(tmp_path):
+    (tmp_path / "robot.urdf").symlink_to(tmp_path / "robot.urdf")
+    with pytest.raises(RobotError, match="name a URDF or xacro file"):
+        load(tmp_path / "robot.urdf")
+
+
 def test_a_file_that_was_missed_is_seen_once_it_is_there(tmp_path):
     packed(tmp_path, "cams", here="")
     file = xacro(tmp_path, '<xacro:include filename="$(find cams)/late.xacro"/>' + ROBOT)

@@ -289,7 +289,7 @@ def refusal(told: dict[str, Any], along: Callable[[str], list[str]]) -> Unexpand
     place, text = Path(told["place"]), re.sub(r"^<class '[^']*'>: ", "", " ".join(told["error"].split()))
     text = text[: len(text) // 2] if text[: len(text) // 2] == text[len(text) // 2 + 1 :] else text  # said twice
     word, fix = way_out(text, told)
-    text += f", in macro {' in '.join(map(repr, told['within']))}" if told["within"] else ""
+    text += f", in macro {' in '.join(map(repr, dict.fromkeys(told['within'])))}" if told["within"] else ""
     called = giving(word, read_text(place)) if "Invalid parameter" in text else ""
     macro = lacking(told) or called
     if macro and (names := along(macro)):

@@ -159,7 +159,7 @@ def instead(path: Path) -> str:
     names: list[str] = []
     with suppress(OSError, ValueError):
         there = (path if path.is_dir() else path.parent).iterdir()
-        names = sorted(one.name for one in there if one.suffix in (".urdf", ".xacro"))
+        names = sorted(one.name for one in there if one.suffix in (".urdf", ".xacro") and one.is_file() and one != path)
     near = names if path.is_dir() else get_close_matches(path.name, names)
     folder = path if path.is_dir() else path.parent
     return f"did you mean '{folder / near[0]}'?" if near else "name a URDF or xacro file; `mmnn list` has robots"
