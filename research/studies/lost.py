@@ -35,6 +35,7 @@ FILTERED = (*COARSE, 'sensor.velocity="filtered"')
 LATE = ("latency.command=0.003", "sensor.delay=2")
 NOISE = ("sensor.noise=0.0002", "sensor.wheel_noise=0.0002", "sensor.velocity_noise=0.02")
 PUSH = 'disturbances=[{type="push",on="panda_joint2",force=15.0,start=3.0,end=5.0}]'
+BLOCK = 'disturbances=[{type="block",joint="elbow_joint",start=3.0,end=4.0}]'
 HARDLY = ("reference.arm.amplitude=0.02", "time.duration=120")
 CASES: dict[str, tuple[str, ...]] = {
     "URDF right, sensors exact": ("robot=panda",),
@@ -49,7 +50,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "a slow motion": ("robot=panda", *DRY, *FILTERED, "reference.arm.period=30", "time.duration=30"),
     "a fast motion": ("robot=ur10", HEAVY, "reference.arm.period=2"),
     "hobby servos": ("robot=so101", "hardware=feetech-sts3215", HEAVY),
-    "servos of position and velocity": ("robot=tiago", "hardware=tiago", HEAVY),
+    "hobby servos with friction": ("robot=so100", "hardware=feetech-sts3215", *DRY),
     "a robot by torque": ("robot=panda", "hardware=franka", HEAVY),
     "servos of an open manipulator": ("robot=so100", "hardware=dynamixel-xm430", HEAVY),
     "a payload is picked up": ("robot=panda", 'disturbances=[{type="payload",mass=2.0,start=4.0}]'),
@@ -58,7 +59,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "told delay and lag": ("robot=kinova", HEAVY, "actuator.lag=0.003", *LATE),
     "messages lost and late": ("robot=tiago_no_hand", HEAVY, "sensor.loss=0.1", "sensor.jitter=2"),
     "a hand pushes for 2 s": ("robot=panda", PUSH),
-    "a blocked joint": ("robot=ur5", 'disturbances=[{type="block",joint="elbow_joint",start=3.0,end=4.0}]'),
+    "a blocked joint": ("robot=ur5", BLOCK, 'time.integrator="stick"'),
     "motors at their limit": ("robot=kinova", "masses=1.4", "reference.share=0.95"),
     "weak motors": ("robot=ur5", HEAVY, "actuator.torque_gain=0.8"),
     "gears with play": ("robot=platform_arm", "actuator.gap=0.002", "actuator.rotor_inertia=0.01"),
