@@ -99,7 +99,8 @@ class Rival(TorqueController):
 def judged(name: str, controller: str) -> dict[str, Any]:
     """The outcome of a case with a controller: why it is lost, empty where it is not, and errors of arm and base."""
     try:
-        experiment = load_experiment("track", CASES[name])
+        heavy = (*CASES[name], *RESUMED.get(name, ()))
+        experiment = load_experiment("track", heavy if controller == "rival" else CASES[name])
         robot = experiment.load_robot()
         loop = experiment.loop(
             robot, experiment.controller("feedforward" if controller == "rival" else controller, robot=robot)
@@ -110,8 +111,8 @@ def judged(name: str, controller: str) -> dict[str, Any]:
             loop = replace(loop, controller=Rival(file, loop.controller.feedback.vector(robot.dimensions)))
         run = loop.run()
         if name in RESUMED and controller != "rival":
-            heavy = load_experiment("track", (*CASES[name], *RESUMED[name]))
-            again = heavy.loop(heavy.load_robot(), loop.controller)
+            other = load_experiment("track", heavy)
+            again = other.loop(other.load_robot(), loop.controller)
             state = loop.controller.init(loop.context())
             state.values[:] = run.final["controller_state"]
             run = again.run(state=state)
