@@ -71,7 +71,7 @@ def touch_shapes(
     vectors = ((p,),) * 6
     load = (LOAD, p), (LOAD,), (LOAD + 1, LOAD + 1)
     sent = (1 + math.ceil(way / period), p), (p,)
-    return (13,), *vectors, (2, p), (p,), (groups, p), *load, (p, p), (p, p), (2, saved), *sent
+    return (13,), *vectors, (2, p), (p,), *((groups, p),) * 3, *load, (p, p), (p, p), (2, saved), *sent
 
 
 def new_state(parts: list[Array]) -> TouchState:

@@ -19,8 +19,9 @@ model is r of the file's and `Psi_hat - Psi`, behind the same filter.
 
 **The band.** Errors of the model that are as large as the settings say, each body and each friction alone, give r the
 covariance S: what bodies and friction add to the torque is the regressor times the parameters, body by body, and passes
-the same filter. A learner with a
-covariance has one of its own. What r does from sample to sample is noise of the measurement, and is measured. Contact
+the same filter. Where Psi_hat takes a share of the model, what they add to Psi goes out of S by that share and the
+covariance of Psi_hat comes in; M and C times the error remain as wrong as the file, and so does friction of what
+stands. What r does from sample to sample is noise of the measurement, and is measured. Contact
 is where `r' S^-1 r` is beyond the quantile of chi^2.
 
 **A load is no contact.** A mass that moves rigidly with the hand brings `r = -Y pi` with the columns Y of its mass and
@@ -140,6 +141,8 @@ class TouchState(NamedTuple):
         beyond: (2, p) `Psi_hat - Psi` of the last sample, and behind the filter.
         weight: (p,) gravity and friction of the model.
         parts: (g, p) what every group of parameters, wrong by its standard deviation, brings to r.
+        asked: (g, p) the same of Psi at the last sample.
+        spared: (g, p) that behind the filter: what Psi_hat in the place of Psi takes out of `parts`.
         brings: (4, p) what a load of one unit each brings to r.
         load: (4,) mass and first moment of the load in the axes of its body [kg, kg m].
         fit: (5, 5) information about it since something is felt: of the load, its other side, and the squares.
@@ -160,6 +163,8 @@ class TouchState(NamedTuple):
     beyond: Array
     weight: Array
     parts: Array
+    asked: Array
+    spared: Array
     brings: Array
     load: Array
     fit: Array
@@ -327,6 +332,8 @@ def begin(a: Feeler) -> None:
         s.noise[i, :] = 0.0
     for g in range(a.doubt.size):
         s.parts[g, :] = 0.0
+        s.spared[g, :] = 0.0
+        s.asked[g, :] = 0.0
 
 
 @internal
@@ -398,20 +405,26 @@ def spread_doubt(row: Array, at: IntArray, a: Feeler) -> None:
     regress(known, a.nu, nudot)
     for g in range(a.doubt.size):
         for i in range(p):
-            part = 0.0
-            for c in range(a.ends[g], a.ends[g + 1]):
-                part += known.Y[i, c] * a.theta[c]
-            s.parts[g, i] = (s.parts[g, i] + gain * a.doubt[g] * part) / (1.0 + gain)
+            s.parts[g, i] = (s.parts[g, i] + gain * part_of(g, i, a)) / (1.0 + gain)
+            s.spared[g, i] = (s.spared[g, i] + gain * s.asked[g, i]) / (1.0 + gain)
     for k in range(LOAD if a.column >= 0 else 0):
         for i in range(p):
             s.brings[k, i] = (s.brings[k, i] - gain * known.Y[i, a.column + k]) / (1.0 + gain)
+
+
+@compiled
+def part_of(g: int, i: int, a: Feeler) -> float:
+    """What group g of parameters, wrong by its standard deviation, adds to the torque on velocity i; Y is written."""
+    part = 0.0
+    for c in range(a.ends[g], a.ends[g + 1]):
+        part += a.known.Y[i, c] * a.theta[c]
+    return a.doubt[g] * part
 
 
 @internal
 def judge(row: Array, at: IntArray, a: Feeler) -> None:
     """External torque and band of the measurement, and whether there is contact."""
     n, s, S, p, raw = a.numbers, a.state, a.S, a.nu.size, a.vectors[6]
-    doubt_of_file(a)
     external, band = view(row, at, EXTERNAL), view(row, at, BAND)
     weigh(raw, a)
     for i in range(p):
@@ -531,28 +544,41 @@ def is_load(a: Feeler) -> bool:
 
 @internal
 def weigh(external: Array, a: Feeler) -> None:
-    """The residual of the model that is asked for, and its covariance, in which that of the file stands, into a.S."""
+    """The residual of the model that is asked for, and its covariance, into a.S."""
     s, S, p, share, model = a.state, a.S, a.nu.size, a.vectors[3], a.numbers.model
     known = s.learned[0, 0] >= 0.0
+    share[:] = 0.0
+    doubt_of_file(share, a)
     for i in range(p):
         share[i] = 1.0 if model == LEARNER else 0.0
         if model == BOTH and known and S[i, i] > 0.0:
             share[i] = S[i, i] / (S[i, i] + s.learned[i, i])
         s.weight[i] += share[i] * s.beyond[1, i]
         external[i] = a.felt[i] * (s.residual[i] + share[i] * s.beyond[1, i])
-    for i in range(p if known else 0):
-        for j in range(p):
-            S[i, j] = (1.0 - share[i]) * S[i, j] * (1.0 - share[j]) + share[i] * s.learned[i, j] * share[j]
+    if known:
+        doubt_of_file(share, a)
+        for i in range(p):
+            for j in range(p):
+                S[i, j] += share[i] * s.learned[i, j] * share[j]
+    doubt_of_standing(a)
 
 
 @internal
-def doubt_of_file(a: Feeler) -> None:
-    """Covariance of r that errors of the file's numbers bring, (p, p), into a.S; friction of what stands is unknown."""
-    known, S, p, part = a.known, a.S, a.nu.size, a.vectors[2]
-    for i in range(p):
+def doubt_of_file(share: Array, a: Feeler) -> None:
+    """Covariance of r that errors of the file's numbers bring, (p, p), into a.S; a share (p,) of Psi is Psi_hat."""
+    s, S, part = a.state, a.S, a.vectors[2]
+    for i in range(part.size):
         S[i, :] = 0.0
     for g in range(a.doubt.size):
-        add_square(a.state.parts[g], S)
+        for i in range(part.size):
+            part[i] = s.parts[g, i] - share[i] * s.spared[g, i]
+        add_square(part, S)
+
+
+@internal
+def doubt_of_standing(a: Feeler) -> None:
+    """Add to a.S that friction of what stands is unknown, whatever Psi_hat says of friction at nu_ref."""
+    known, S, p, part = a.known, a.S, a.nu.size, a.vectors[2]
     for k in range(a.dry.size):
         speed = entry(known.joints, k, a.nu)
         holds = a.dry[k] * (1.0 - abs(tanh(speed / known.coulomb_speed)))
@@ -677,6 +703,14 @@ def remember(row: Array, at: IntArray, psi_hat: Array, learned: bool, a: Feeler)
         psi_of(a.body, a.work, a.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), told)
         for i in range(tau.size):
             s.beyond[0, i] = psi_hat[i] - told[i]
+        measured(
+            a.known, view(row, at, POSE), view(row, at, VELOCITY), view(row, at, Q), view(row, at, QDOT),
+            view(row, at, SHAPE),
+        )  # fmt: skip
+        regress(a.known, view(row, at, NU_REF), view(row, at, NUDOT_REF))
+        for g in range(a.doubt.size):
+            for i in range(tau.size):
+                s.asked[g, i] = part_of(g, i, a)
 
 
 @linked
