@@ -68,7 +68,7 @@ def touch_shapes(
         saved: Size of what a learner knows, 0 where it is not to go back.
     """
     p, groups = layout.dof, len(groups_of(regressor)) - 1
-    vectors = ((p,),) * 6
+    vectors = ((p,),) * 7
     load = (LOAD, p), (LOAD,), (LOAD + 1, LOAD + 1)
     sent = (1 + math.ceil(way / period), p), (p,)
     return (13,), *vectors, (2, p), (p,), *((groups, p),) * 3, *load, (p, p), (p, p), (2, saved), *sent

@@ -79,6 +79,7 @@ MISFIT = 0.1  # share of the squares that a load may leave
 REACH = 0.5  # how far from its joint a load may be [m]
 UNSURE = 0.2  # standard deviation of a load's share of r
 TURNS, ALIGNED = 2.0, 0.01  # how fast a base that stands is turned back [1/s], and what is left then [rad/s]
+GROWS = 0.5  # share of the largest velocity that a robot which goes back takes on in `clear`
 GONE = 0.01  # share of what a robot stood against that is nothing
 CERTAIN = 1e-9  # of the information about a load, relative, below which it is none
 
@@ -137,6 +138,7 @@ class TouchState(NamedTuple):
         last: (p,) nu there.
         impulse: (p,) of the motors since then [N s, N m s].
         stood: (p,) torque of the world that the robot has lately stood against.
+        wished: (p,) velocity at which a robot that gave way goes back.
         residual: (p,) r with the model of the file [N, N m].
         beyond: (2, p) `Psi_hat - Psi` of the last sample, and behind the filter.
         weight: (p,) gravity and friction of the model.
@@ -159,6 +161,7 @@ class TouchState(NamedTuple):
     last: Array
     impulse: Array
     stood: Array
+    wished: Array
     residual: Array
     beyond: Array
     weight: Array
@@ -719,8 +722,8 @@ def give_way(row: Array, at: IntArray, a: Feeler) -> None:
 
     In contact the model carries the robot and a share of the feedback damps it, `tau = weight - yields K nu`, which
     grows to all of it while nothing is felt any more. After it the robot follows nu_ref, which leads it back to its
-    reference, no faster than a rate that grows to `back`, `tau = weight + K (nu_ref' - nu)`; where nu_ref is slower the
-    controller goes on.
+    reference, no faster than `back`, to which a wish w grows at a steady rate, `tau = weight + M w' + K (w - nu)`: base
+    and arm go as they are asked, whatever the inertia that couples them. Where nu_ref is slower the controller goes on.
     The law of a pose on two wheels turns no base that stands, so that is turned back first.
 
     A robot that does not give way stands against the world by its feedback, which throws it where the world lets go:
@@ -744,13 +747,16 @@ def give_way(row: Array, at: IntArray, a: Feeler) -> None:
     s.clock[GIVES] = 1.0 if touched or (s.clock[GIVES] > 0.0 and not slow) else 0.0
     if s.clock[GIVES] == 0.0:
         return
-    since = s.clock[CLEAR] / max(n.clear, n.h)
-    damps = n.yields + (1.0 - n.yields) * min(1.0, since) if touched else 1.0
-    most = 0.0 if touched else n.back * min(1.0, max(0.0, 0.5 * (since - 1.0)))
+    clear, change = max(n.clear, n.h), a.vectors[3]
+    damps = n.yields + (1.0 - n.yields) * min(1.0, s.clock[CLEAR] / clear) if touched else 1.0
+    step = GROWS * n.back / clear * n.h
+    for i in range(tau.size):
+        wish = min(max(nu_ref[i] + (turn if i == 1 else 0.0), -n.back), n.back)
+        change[i] = 0.0 if touched else min(max(wish - s.wished[i], -step), step)
+        s.wished[i] = 0.0 if touched else s.wished[i] + change[i]
     for i in range(tau.size):
         if a.felt[i] > 0.0:
-            wish = min(max(nu_ref[i] + (turn if i == 1 else 0.0), -most), most)
-            tau[i] = s.weight[i] + damps * a.gains[i] * (wish - a.nu[i])
+            tau[i] = s.weight[i] + damps * a.gains[i] * (s.wished[i] - a.nu[i]) + entry(a.work.M, i, change) / n.h
 
 
 @internal

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from builders import loop, thesis_robot
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import Feedback, Timing, Trajectory
@@ -32,6 +32,7 @@ def pushed(contact, on, force):
 @pytest.mark.compiled
 @pytest.mark.parametrize("contact", ["stop", "comply", "go on"])
 @settings(max_examples=3, derandomize=True, deadline=None)
+@example(on="w", size=1.0, sign=1.0)  # the base's inertia pulls at the arm
 @given(on=st.sampled_from(ROBOT.velocity_names), size=st.floats(0.1, 1.0), sign=st.sampled_from([-1.0, 1.0]))
 def test_a_pushed_robot_stays_within_its_limits_and_rests_or_comes_back(contact, on, size, sign):
     force = sign * size * {"v": 60.0, "w": 30.0}.get(on, 2.0)
@@ -46,5 +47,5 @@ def test_a_pushed_robot_stays_within_its_limits_and_rests_or_comes_back(contact,
     assert np.abs(run["true_e"][-1]).max() < 0.02
     if contact == "comply":
         back = run.time > run.time[felt][-1]
-        assert np.abs(run["nu"][back]).max() < STATED.back + 0.03
+        assert np.abs(run["nu"][back]).max() < 1.05 * STATED.back  # what turns with the base is not in its wish
         assert abs(run["pose"][-1, 2]) < 0.006 and np.abs(run["pose"][-1, :2]).max() < 0.01
