@@ -27,6 +27,7 @@ from places import ROOT
 
 from mmnn_pin import Recording, Stepper, load_experiment
 from mmnn_pin.cli import main
+from mmnn_pin.compliance import Impedance
 from mmnn_pin.deploy.embed.board import Fresh
 from mmnn_pin.deploy.embed.body import write
 from mmnn_pin.deploy.embed.export import embed, found_compiler, supervised
@@ -137,6 +138,19 @@ def test_fuzzed_samples_that_feel_contact_have_the_same_bits(tmp_path, contact):
     )
     found = write_fuzzed(loop_of("platform_arm", "pid", touch=touch, safety=safety), tmp_path, 300, 3)
     assert 20 < found.touched < 280, found
+    status, said = on_target(tmp_path, "gcc")
+    assert status == 0 and "300 samples, 0 differ" in said, said
+
+
+@needs_gcc
+@pytest.mark.parametrize("interface", ["velocity", "position"])
+def test_fuzzed_samples_of_an_admittance_have_the_same_bits(tmp_path, interface):
+    """A hand whose arm takes no torque at one joint moves a mass by what is felt, in compiled C."""
+    touch = Touch(bandwidth=1e3, masses=0.0, friction=0.0, torque=0.0)
+    servos = {"interfaces": {"arm_2_joint": interface}, "impedance": Impedance(stiffness=200.0)}
+    made = loop_of("platform_arm", "pd_gravity", touch=touch, **servos)
+    write_fuzzed(made, tmp_path, 300, 3)
+    assert "law_admit(" in (tmp_path / "controller.c").read_text()
     status, said = on_target(tmp_path, "gcc")
     assert status == 0 and "300 samples, 0 differ" in said, said
 
