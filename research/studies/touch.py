@@ -2,6 +2,7 @@
 
     python -m research.studies.touch learners [robot=ROBOT] [NAME ...]    5 s against a wall, then free: how far the
                                                                           hand is thrown
+    python -m research.studies.touch own [robot=ROBOT] NAME ...    and how far from where it stands without the wall
     python -m research.studies.touch reaction               time until contact is felt and largest force, on both plants
     python -m research.studies.touch hard                   fifteen cases that should upset a hand that pushes
     python -m research.studies.touch loads                  loads taken for contacts and contacts for loads
@@ -93,10 +94,31 @@ def thrown(loop: Loop) -> tuple[float, float, float, float]:
     return float(far), force, felt, 0.0
 
 
-def learners(names: list[str]) -> Iterator[str]:
+def asked(words: list[str]) -> tuple[str, list[str]]:
+    """The robot and the controllers that a command line names."""
+    of = next((word.removeprefix("robot=") for word in words if word.startswith("robot=")), ROBOT)
+    return of, [word for word in words if "=" not in word]
+
+
+def own(words: list[str]) -> Iterator[str]:
+    """A line per controller: how far the release moves the hand, and how far the wall had pushed it away.
+
+    Away from where it would stand by then without a wall: as far goes back what is not thrown.
+    """
+    of, names = asked(words)
+    for name in names:
+        loop = against_a_wall(name, Touch(), of)
+        pressed, free = (
+            hand_along(each.robot, each.run()["position"])[round(FREE / each.timing.control_period) - 1]
+            for each in (loop, replace(loop, disturbances=()))
+        )
+        far, pushed = thrown(loop)[0], float(np.linalg.norm(pressed - free))
+        yield f"{name:22s} goes {1e3 * far:6.1f} mm, was pushed {1e3 * pushed:6.1f} mm"
+
+
+def learners(words: list[str]) -> Iterator[str]:
     """A line per controller: how far the hand goes over the way of the right model, as it was and with touch."""
-    of = next((name.removeprefix("robot=") for name in names if name.startswith("robot=")), ROBOT)
-    names = [name for name in names if "=" not in name]
+    of, names = asked(words)
     right, force, *_ = thrown(against_a_wall("computed_torque", None, of))
     yield f"{'':22s} as ever            frozen             dead zone"
     yield f"{'':22s} force N  thrown    force N  thrown    force N  thrown   felt"
@@ -211,7 +233,13 @@ def hard() -> Iterator[str]:
 def main() -> None:
     """Print the table that is asked for, line by line."""
     what, *names = sys.argv[1:] or ["learners"]
-    tables = {"learners": lambda: learners(names), "reaction": reaction, "loads": loads, "hard": hard}
+    tables = {
+        "learners": lambda: learners(names),
+        "own": lambda: own(names),
+        "reaction": reaction,
+        "loads": loads,
+        "hard": hard,
+    }
     for line in tables[what]():
         print(line, flush=True)
 

@@ -126,10 +126,11 @@ class Stage {
     if (this.ground) this.world.remove(this.ground);
     this.addGround([x0, y0, x1, y1]);
     const { height, low, margin } = this.room;
-    const radius = Math.hypot(Math.hypot(x1 - x0, y1 - y0) / 2 + margin, height / 2);
+    const above = 0.68 * height; // the view's middle is below the robot's: the floor is to be seen, and no head is cut
+    const radius = Math.hypot(Math.hypot(x1 - x0, y1 - y0) / 2 + margin, above);
     const narrow = Math.max(1, (1.1 * innerHeight) / innerWidth);
     const distance = (0.85 * narrow * radius) / Math.sin((FIELD / 2) * (Math.PI / 180));
-    const centre = new this.THREE.Vector3((x0 + x1) / 2, (y0 + y1) / 2, low + 0.32 * height);
+    const centre = new this.THREE.Vector3((x0 + x1) / 2, (y0 + y1) / 2, low + height - above);
     this.lookAt(centre, new this.THREE.Vector3(0.64, -0.7, 0.44).normalize().multiplyScalar(distance).add(centre));
   }
 
