@@ -417,7 +417,7 @@ def spread_doubt(row: Array, at: IntArray, a: Feeler) -> None:
 
 @compiled
 def part_of(g: int, i: int, a: Feeler) -> float:
-    """What group g of parameters, wrong by its standard deviation, adds to the torque on velocity i; Y is written."""
+    """Torque on velocity i by group g of parameters, wrong by its standard deviation; Y is that of the motion."""
     part = 0.0
     for c in range(a.ends[g], a.ends[g + 1]):
         part += a.known.Y[i, c] * a.theta[c]
