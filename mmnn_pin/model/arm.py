@@ -86,7 +86,8 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
     hands = hands_of(limbs, moves, overrides.arm_tip)
     still |= dict.fromkeys(of_other_arm(rest, base, hands, overrides.arm), WHY["other"])
     low = {j.name for j in joints.values() if is_low(rest, j)}  # a base may take these for its own
-    known = {*still, *low, *(j.name for j in alike_on_root(rest)), "all"}
+    open_ones = {name for limb in limbs.doubts(()) for name in limb.joints}
+    known = {*still, *low, *(j.name for j in alike_on_root(rest)), *open_ones, "all"}
     if idle := [name for name in overrides.free if name not in known]:
         raise ConfigError(f"'{idle[0]}' need not be freed", why="it is not locked", fix="leave it out", key="free")
     reasons = {name: still[name] for name in free if name in still and name not in freed}
@@ -114,7 +115,7 @@ def limbs_of(
 ) -> tuple[Limbs, dict[str, str], tuple[Path, ...]]:
     """Roles of joints that are not the base's, those of them that cannot move, with why, and broken files.
 
-    A joint is rigid where its limits are one value, unless nobody wrote the limits of an arm. It has no motor in a file
+    A joint of an arm whose limits are one value may be rigid, unless nobody wrote any limits. It has no motor in a file
     that names the motors of others, unless those are at most of heads and jaws: then the arm's own are said elsewhere.
     """
     stiff = [name for name in joints if rest.document.joints[name].lower == rest.document.joints[name].upper]
@@ -123,6 +124,7 @@ def limbs_of(
     masters = {name: slave.master for name, slave in slaves.items()}
     groups, broken = groups_of(rest, overrides.controllers_file)
     limbs = Limbs(rest, frozenset(joints), masters, base, groups)
+    stiff = [name for name in stiff if name in limbs.arm]
     idle = {name for name in joints if name not in driven} if driven & limbs.arm else set()
     still = dict.fromkeys(idle, WHY["passive"]) | dict.fromkeys(stiff, WHY["rigid"])
     fixed = set() if "all" in overrides.free else still.keys() - {*overrides.free}

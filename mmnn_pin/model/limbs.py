@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from shlex import quote
 
 from ..elementary.matrices import length, product
 from .base.base import Base
@@ -63,7 +64,8 @@ WORDS = {  # English, German, French, Spanish, Italian, Portuguese, and Chinese 
     " boom bucket fork schulter ellenbogen handgelenk unterarm oberarm hub saeule bras epaule coude poignet torse"
     " brazo hombro codo muneca cintura columna braccio spalla gomito polso busto braco ombro cotovelo punho"
     " jian zhou wan yao ude kata hiji tekubi koshi",
-    "head": "head neck eye gaze kopf hals nacken tete cou cabeza cuello testa collo cabeca pescoco tou jing kubi atama",
+    "head": "head neck eye gaze turret gun cannon"
+    " kopf hals nacken tete cou cabeza cuello testa collo cabeca pescoco tou jing kubi atama",
     "jaw": "gripper grip grasper finger fingertip thumb index middle little knuckle jaw claw clamp pinch hand palm"
     " griffe pince doigt mors pinza garra dedo mano dito greifer klaue backe zange zhua jiazhua shou hasami yubi",
     "sensor": "camera cam gimbal lidar laser radar scanner lds sonar antenna antenne antena kamera fotocamera",
@@ -131,10 +133,9 @@ class Limb:
         """Signs that tell its role from the other, the strongest first."""
         return told_apart((), self.signs) if self.role == "arm" else told_apart(self.signs, ())
 
-    @property
-    def option(self) -> str:
-        """Options that make it the other."""
-        return " ".join(f"--{'lock' if self.role == 'arm' else 'free'} {joint}" for joint in self.joints)
+    def option(self, role: str) -> str:
+        """Options that make it part of the arm, or of what stands still."""
+        return " ".join(f"--{'free' if role == 'arm' else 'lock'} {quote(joint)}" for joint in self.joints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +204,7 @@ class Limbs:
                 found = {joint: limb for joint, limb in found.items() if joint not in joints}
             roles = (role, "arm") if still > moves else ("arm", role)
             found[name] = Limb(joints, *roles, tuple(signs), abs(still - moves))
-        if not any(limb.role == "arm" for limb in found.values()):  # what else is there to move?
+        if not self.base.columns and not any(limb.role == "arm" for limb in found.values()):  # what else would move?
             found |= {name: replace(limb, role="arm") for name, limb in found.items() if limb.role in ("head", "jaw")}
         return found
 
@@ -222,7 +223,7 @@ class Limbs:
         """Branches whose roles beat others by little, one of every chain; none of those that the user speaks of."""
         found, known = list[Limb](), {*said}
         for name, limb in sorted(self.limbs.items(), key=lambda item: item[1].margin):
-            alone = self.arm <= {*limb.joints} and limb.other in ("head", "jaw")  # it would be the arm all the same
+            alone = not self.base.columns and self.arm <= {*limb.joints} and limb.other in ("head", "jaw")
             if limb.margin < MARGIN and limb.other != limb.role and not alone and not known & {"all", *limb.joints}:
                 found.append(limb)
                 known |= {*limb.joints, *self.tree[name].above}

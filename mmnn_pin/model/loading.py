@@ -167,9 +167,10 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
     roles = understand(document, overrides)
     document, base, arm = placed(roles.document, roles.arm.hands), roles.base, roles.arm
     model, printed = pinocchio_model(document, mobile=base.root_size > 0)
-    audited = excused(document.findings, arm.locked, arm.joints, alone=not base.columns)
-    require_sane(document, model, set(arm.locked))
-    findings = (*settle(audited, roles.findings), *roles.notes, *printed_notes(roles.rest, printed))
+    audited = excused(document.findings, arm.locked, arm.joints, alone=not base.columns, rolls=base.joints)
+    rolling = {f.joint for f in audited if f.code == "zero-inertia"}
+    require_sane(document, model, {*arm.locked, *rolling})
+    findings = (*settle(audited, (*roles.findings, *roles.notes)), *printed_notes(roles.rest, printed))
     said = settled(msgspec.structs.replace(overrides, **roles.taken), base)
     robot = replace(assemble(document, base, arm, model), findings=findings, overrides=said)
     require_finite(document, robot)

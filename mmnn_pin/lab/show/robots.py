@@ -36,12 +36,10 @@ DOUBTS = {  # what a finding leaves in doubt, by its code
     "base-radius": "the radii",
     "base-stated": "dimensions, which a file states otherwise",
     "base-roller": "the rollers' angle",
-    "base-heading": "forward",
     "base-sides": "left and right",
     "base-pair": "the wheels",
     "base-stray": "joints that may be wheels",
     "base-floor": "how high the floor is",
-    "arm-doubt": "the arm",
     "arm-passive": "the arm",
 }
 

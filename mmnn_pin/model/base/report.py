@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -46,10 +47,10 @@ MOST_NAMES = 8  # joints that a note names; what was understood of the robot lis
 
 # Codes by severity; docs/reference/urdf-audit.md tells each with its reason.
 SEVERITIES = {
-    "error": "base-undecided base-unsupported robot base-size",
-    "warning": "base-doubt base-roller base-pushed base-sides base-radius base-heading base-hub-height base-shapes "
+    "error": "base-undecided base-unsupported base-heading arm-doubt robot base-size",
+    "warning": "base-doubt base-roller base-pushed base-sides base-radius base-hub-height base-shapes "
     "base-stated base-stray base-pair base-limit base-linkage base-scrub base-floor base-friction base-welded "
-    "arm-doubt arm-passive arm-srdf arm-weak welded pinocchio",
+    "arm-passive arm-srdf arm-weak welded pinocchio",
     "note": "base-evidence base-omni base-none base-joints base-driven base-skid base-steered arm-locked no-friction "
     "no-rotor overrides",
 }
@@ -123,16 +124,17 @@ def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrid
     way, other = map(axis_name, found.ways[:2])
     pro, contra = told_apart(found.signs[0], found.signs[1]), told_apart(found.signs[1], found.signs[0])
     why = f"for {way}: {', '.join(pro) or 'nothing'}; for {other}: {', '.join(contra) or 'nothing'}"
-    fix, root = f"--forward {other} if it drives that way", f"of the root link '{rest.document.root_link}'"
+    fix, root = f"--forward {way}, or --forward {other}", f"of the root link '{rest.document.root_link}'"
+    sides = any("left and right" in text for text in contra)  # by somebody who did not mean x, or mixed them up
     if found.said and found.margin < -MARGIN:
         text = f"'{names[0]}' is the left wheel as you said, so forward is {way} {root}"
         yield note(rest, "base-sides", names[0], text, why, fix)
-    elif not found.said and any("left and right" in text for text in contra):
+    elif not found.said and found.margin < MARGIN * (1 + sides):
+        text = f"does the robot drive along {way} {root}, or along {other}?"
+        yield note(rest, "base-heading", names[0], text, why, fix)
+    elif not found.said and sides:
         text = f"'{names[0]}' is on the left: does the robot drive along {other} {root}?"
         yield note(rest, "base-sides", names[0], text, why, fix)
-    elif not found.said and found.margin < MARGIN:
-        text = f"forward is taken as {way} {root}, and {other} is nearly as good"
-        yield note(rest, "base-heading", names[0], text, why, fix)
 
 
 def size_notes(rest: AtRest, base: Base, given: bool) -> Iterator[Finding]:
@@ -198,7 +200,14 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
     for name, reason in arm.reasons.items():
         by_reason.setdefault(reason, []).append(name)
     for reason, names in by_reason.items():
-        if "taken as a" in reason:
+        if reason == WHY["rigid"]:
+            fix = " ".join(f"--free {quote(name)}" for name in names) + " if so, "
+            fix += " ".join(f"--lock {quote(name)}" for name in names) + " if not"
+            text = f"{few(names)} {'have' if len(names) > 1 else 'has'} limits of one value: do they move all the same?"
+            notes.append(
+                note(rest, "arm-doubt", names[0], text, "a joint that cannot move is mostly fixed", fix, "arm")
+            )
+        elif "taken as a" in reason:
             fix = "--free JOINT lets one move, --free all every one"
             notes.append(note(rest, "arm-locked", names[0], f"locked: {few(names)}", reason, fix, "arm"))
         if reason == WHY["passive"]:
@@ -210,8 +219,8 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
         taken, other = ("part of the arm" if kind == "arm" else f"a {kind}" for kind in kinds)
         are = "are each" if len(alike) > 1 else "is"
         names = [f"'{doubt.joints[0]}'" for doubt in alike]
-        text = f"{few(names)} {are} taken as {taken}, and may be {other}"
-        fix = "; ".join(f"{doubt.option} if {name} is" for doubt, name in zip(alike, names, strict=True))
+        text = f"{few(names)} {are} {taken} or {other}"
+        fix = f"{' '.join(d.option(d.other) for d in alike)} for {other}, {' '.join(d.option(d.role) for d in alike)} for {taken}"
         notes.append(note(rest, "arm-doubt", alike[0].joints[0], text, "; ".join(alike[0].told), fix, "arm"))
     if arm.broken:
         text, why = f"{few(list(map(str, arm.broken)))} cannot be read", "its groups tell nothing of the arm"

@@ -622,8 +622,8 @@ def written_to_turn(rest: AtRest, welded: list[Joint]) -> str:
 
 
 def called_wheels(rest: AtRest) -> list[Candidate]:
-    """Joints that turn without end about level axes, carry nothing and are called wheels: names make the loader ask."""
-    ends = [j for j in rest.document.joints.values() if is_endless_end(rest, j) and rest.is_horizontal(j)]
+    """Joints that turn without end, carry nothing and are called wheels: names make the loader ask."""
+    ends = [j for j in rest.document.joints.values() if is_endless_end(rest, j)]
     called = [wheel_of(rest, j) for j in ends if WHEEL_NAMES.search(f"{j.name} {j.child}")]
     return [replace(c, mount=hangs_on(rest, c.joint, c)[0]) for c in called]
 

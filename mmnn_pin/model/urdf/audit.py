@@ -712,12 +712,12 @@ def bad_inertia(parts: list[BodyPart], joint: Joint | None, principal: list[floa
     mass = sum(part.mass for part in parts)
     whose = "the root's body" if joint is None else f"the body that joint '{joint.name}' moves"
     values = f"principal inertias {low:.3g}, {middle:.3g}, {high:.3g} kg m^2"
-    if low < -POSITIVE * abs(high) or high < 0 or (joint is not None and low <= POSITIVE * high):
-        what = f"the inertia of {whose} is not positive definite ({values})"
+    impossible = low < -POSITIVE * abs(high) or high < 0
+    if impossible or (joint is not None and low <= POSITIVE * high):
+        code, what = ("inertia-not-positive", "not positive definite") if impossible else ("zero-inertia", "zero")
+        what = f"the inertia of {whose} is {what} ({values})"
         why, fix = "its acceleration could be infinite or against the torque", "compute it from the mesh and the mass"
-        yield finding(
-            "inertia-not-positive", to_blame(parts), what, why, fix, joint=None if joint is None else joint.name
-        )
+        yield finding(code, to_blame(parts), what, why, fix, joint=None if joint is None else joint.name)
     elif high > low + middle + ROUNDING * high:
         what = f"the inertia of {whose} violates the triangle inequality ({values})"
         yield finding(

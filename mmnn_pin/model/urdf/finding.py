@@ -75,6 +75,7 @@ CODES = {
     "zero-mass": "error",
     "tiny-mass": "error",
     "inertia-not-positive": "error",
+    "zero-inertia": "error",
     "inertia-triangle": "strict",
     "no-inertial": "warning",
     # plausibility
@@ -153,7 +154,11 @@ def settle(findings: Sequence[Finding], path: Path, strict: bool) -> tuple[Findi
 
 
 def excused(
-    findings: Sequence[Finding], still: Iterable[str], arm: Iterable[str] = (), alone: bool = False
+    findings: Sequence[Finding],
+    still: Iterable[str],
+    arm: Iterable[str] = (),
+    alone: bool = False,
+    rolls: Iterable[str] = (),
 ) -> tuple[Finding, ...]:
     """Findings where what only matters to joints that stand still is a warning.
 
@@ -162,13 +167,16 @@ def excused(
         still: Joints that stand still.
         arm: Joints that could.
         alone: Whether nothing else moves.
+        rolls: Joints that turn only as the base drives, whose inertia may be 0: the base has some.
 
     Raises:
         AuditError: An error is left.
     """
-    standing, lockable = set(still), set(arm)
+    standing, lockable, rolling = set(still), set(arm), set(rolls)
 
     def judge(f: Finding) -> Finding:
+        if f.code == "zero-inertia" and f.joint in rolling:
+            return replace(f, severity="warning", why="taken as it is: it turns only as the base drives")
         if f.severity != "error" or f.joint not in standing | lockable:
             return f
         if f.joint in standing:

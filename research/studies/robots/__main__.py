@@ -44,10 +44,10 @@ TOLERANCE = 0.03  # of the maker's radius and track
 FORWARD = {"+x": 0.0, "+y": math.pi / 2, "-x": math.pi, "-y": -math.pi / 2}  # of the root link's frame [rad]
 OBLIQUE = math.radians(10.0)  # by which forward may be off
 WAY = re.compile(
-    r"--(base|wheels|radius|track|without|lock|xacro|steer|hitch|wheelbase|steering-limit)"
+    r"--(base|wheels|radius|track|without|lock|free|forward|xacro|steer|hitch|wheelbase|steering-limit)"
     r" ([A-Za-z0-9_,.:=-]*[A-Za-z0-9_])"
 )  # options in the fix of a refusal
-REPEATED = {"without": "without", "lock": "lock", "xacro": "xacro", "package-dir": "package_dirs"}
+REPEATED = {"without": "without", "lock": "lock", "free": "free", "xacro": "xacro", "package-dir": "package_dirs"}
 LISTED = dict.fromkeys(("wheels", "steer", "hitch"), lambda text: text.split(","))
 READ: dict[str, Any] = {**LISTED, **dict.fromkeys(("radius", "track", "wheelbase", "steering-limit"), float)}
 ASKED = {"radius": "METRES", "steering-limit": "RAD"}  # what a refusal asks for: the maker's, as if measured
@@ -81,7 +81,7 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
     if path is None:
         return Outcome("not there", "", "", 0.0)
     said: dict[str, Any] = {"xacro": tuple(text.replace("FOLDER", str(folder)) for text in entry.get("xacro", ()))}
-    followed, start, took = list[str](), time.perf_counter(), 0.0
+    steps, start, took = list[str](), time.perf_counter(), 0.0
     for _ in range(8):
         try:
             robot = load(path, **said)
@@ -89,33 +89,32 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
             took = took or time.perf_counter() - start
             told = " ".join(f"{error.what}: {error.why}: {error.fix}".split())
             if entry["kind"].startswith("refused: ") and well_refused(entry, told):
-                return Outcome("refused rightly", told, " ".join(followed), took)
+                return Outcome("refused rightly", told, " ".join(steps), took)
             options = packages_of(entry, folder, error.fix, said) or way_out(entry, error.fix, said)
+            if "joints" not in entry and {name for name, _ in options} & {"free", "lock"}:  # of its ways the right one
+                options = min(by_joint(error.fix), key=lambda way: missed(entry, path, said, way))
             if not options and not entry["kind"].startswith("refused: ") and (edit := WRITE.search(error.fix)):
                 path, said["package_dirs"] = written(path, said, *edit.groups()), folders_above(path, said)
                 said |= {"xacro": (), "without": ()}  # it is expanded
-                followed.append(edit[0])
+                steps.append(edit[0])
                 continue
         else:
             took = took or time.perf_counter() - start
             wrong = faults(entry, robot)
-            options = told_by(entry, robot) if wrong and not followed else []
+            options = told_by(entry, robot) if wrong and not steps else []
             told = "; ".join(wrong) or words(robot)
             if wrong and not options and "without" in said:  # left out as a package is missing, and missed
-                return Outcome("refused", told, " ".join(followed), took)
+                return Outcome("refused", told, " ".join(steps), took)
             if not options:
-                right = "right after the command" if followed else "right"
-                return Outcome("ACCEPTED WRONG" if wrong else right, told, " ".join(followed), took, said, str(path))
+                right = "right after the command" if steps else "right"
+                return Outcome("ACCEPTED WRONG" if wrong else right, told, " ".join(steps), took, said, str(path))
         if not options:
             verdict = "refused, misleading" if entry["kind"].startswith("refused: ") else "refused"
             verdict = "refused rightly" if well_refused(entry, told) else verdict
-            return Outcome(verdict, told, " ".join(followed), took)
-        followed += [f"--{name} {text.removeprefix(f'{folder}/.packages/')}" for name, text in options]
-        for name, text in options:
-            key = REPEATED.get(name)
-            plain = (key or name).replace("-", "_")
-            said[plain] = (*said.get(key, ()), text) if key else READ.get(name, str)(text)
-    return Outcome("refused", told, " ".join(followed), took)
+            return Outcome(verdict, told, " ".join(steps), took)
+        steps += [f"--{name} {text.removeprefix(f'{folder}/.packages/')}" for name, text in options]
+        said = followed(said, options)
+    return Outcome("refused", told, " ".join(steps), took)
 
 
 def kinds_of(entry: dict[str, Any]) -> list[str]:
@@ -171,6 +170,11 @@ def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> list[tuple
     for way in sorted(ways, key=lambda way: [option not in way for option in wanted]):
         options = WAY.findall(way)
         stated = dict(options)
+        moved = [(name == "free", joint) for name, joint in options if name in ("free", "lock")]
+        if any(free != (joint in entry["joints"]) for free, joint in moved if "joints" in entry):
+            continue
+        if (towards := signed(stated.get("forward", ""))) != entry.get("forward", towards) and "forward" in stated:
+            continue
         fits = kind.startswith("refused: ") or stated.get("base", kind) in kinds_of(entry)
         wheels = stated["wheels"].split(",") if "wheels" in stated else entry.get("wheels", ())
         fits &= {*wheels} == {*entry.get("wheels", wheels)}
@@ -179,6 +183,33 @@ def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> list[tuple
         if options and fits and not ends and named:
             return options
     return []
+
+
+def by_joint(fix: str) -> list[list[tuple[str, str]]]:
+    """The ways out of a question about joints of the arm."""
+    return list(filter(None, map(WAY.findall, re.split("; |, | or ", fix))))
+
+
+def missed(entry: dict[str, Any], path: str | Path, said: dict[str, Any], way: list[tuple[str, str]]) -> bool:
+    """Whether a robot has another number of joints in its arm than the truth, where a way out is followed."""
+    try:
+        return load(path, **followed(said, way)).dimensions.arm != entry.get("arm")
+    except InputError:  # another question
+        return False
+
+
+def followed(said: dict[str, Any], options: list[tuple[str, str]]) -> dict[str, Any]:
+    """What is said about a robot, with some options more."""
+    new = dict(said)
+    for name, text in options:
+        key = REPEATED.get(name)
+        new[(key or name).replace("-", "_")] = (*new.get(key, ()), text) if key else READ.get(name, str)(text)
+    return new
+
+
+def signed(direction: str) -> str:
+    """A direction of `--forward` as truths have it."""
+    return direction if direction.startswith("-") else f"+{direction}"
 
 
 def told_by(entry: dict[str, Any], robot: Robot) -> list[tuple[str, str]]:
