@@ -164,6 +164,12 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
         RobotError: The base is undecided or of a kind not supported, or the dynamics are singular.
     """
     overrides = overrides or Overrides()
+    moving, empty = (
+        {j.name for j in document.joints.values() if j.moves},
+        {f.joint for f in document.findings if f.code == "zero-mass"},
+    )
+    if moving and moving <= empty:  # whatever it is
+        excused(document.findings, ())
     roles = understand(document, overrides)
     document, base, arm = placed(roles.document, roles.arm.hands), roles.base, roles.arm
     model, printed = pinocchio_model(document, mobile=base.root_size > 0)

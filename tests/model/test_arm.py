@@ -64,7 +64,7 @@ def test_what_a_following_finger_carries_stands_still_too():
     follows = finger("b", -1.0, '<mimic joint="a_joint"/>')
     torso = link("torso") + joint("lift", "prismatic", "base", "torso", axis=(0, 0, 1), more=LIMIT.format(0, 0.3))
     text = torso + chain("arm", 6, "torso", (0, 0.2, 0.2)) + finger("a", 1.0) + follows + tip
-    robot = robot_of(Drive().urdf(text))
+    robot = robot_of(Drive().urdf(text), lock=("tip_joint",))  # it is asked about
     assert robot.joint_names == ("lift", *(f"arm_joint_{i}" for i in range(6)))
 
 

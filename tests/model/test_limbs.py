@@ -22,8 +22,9 @@ from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.model import Robot
 from mmnn_pin.model.limbs import STILL, WEIGHTS, role_named
 from mmnn_pin.model.loading import load
+from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.robots import extra
-from mmnn_pin.model.signs import MARGIN
+from mmnn_pin.model.urdf.finding import AuditError, Finding
 
 X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 
@@ -102,22 +103,46 @@ def robots(draw) -> Built:
     return built
 
 
+def answered(text: str, moves: set[str]) -> Robot:
+    """A robot after its questions about joints of the arm, answered by the options that they print."""
+    said: dict[str, tuple[str, ...]] = {"free": (), "lock": ()}
+    for _ in range(3):
+        try:
+            return robot_of(text, **said)
+        except AuditError as error:
+            told = next(f for f in error.errors if f.code == "arm-doubt")
+            printed = re.findall(r"--(free|lock) (\S+)", told.fix)
+            answers = [(key, name) for key, name in printed if (key == "free") == (name in moves)]
+            assert answers and {name for _, name in answers} == {name for _, name in printed}
+            said = {key: (*old, *(name for k, name in answers if k == key)) for key, old in said.items()}
+    raise AssertionError("asked again and again")
+
+
+def doubted(text: str) -> Finding:
+    """The question about joints of the arm."""
+    with pytest.raises(AuditError) as error:
+        robot_of(text)
+    (told,) = (f for f in error.value.errors if f.code == "arm-doubt")
+    return told
+
+
 @settings(max_examples=40, deadline=None)
 @given(robots())
-def test_structure_alone_tells_arms_from_jaws_heads_and_lidars(built: Built):
-    robot = robot_of(built.urdf())
+def test_structure_alone_tells_arms_from_jaws_heads_and_lidars_or_asks_and_the_options_tell(built: Built):
+    robot = answered(built.urdf(), built.moves)
     assert set(robot.joint_names) == built.moves
     assert set(robot.arm.locked) == built.still
-    assert not built.lidar or robot.arm.reasons[f"{built.lidar}j"] == "taken as a sensor that turns"
+    lidar = robot.arm.reasons[f"{built.lidar}j"] if built.lidar else "locked as you said"
+    assert lidar in ("taken as a sensor that turns", "locked as you said")
     assert len(robot.hands) == len(set(robot.hands)) == sum("arm" not in h for h in robot.hands)
 
 
 @settings(max_examples=15, deadline=None)
 @given(robots(), st.integers(0, 99))
 def test_the_order_of_the_file_does_not_matter(built: Built, seed: int):
-    first = robot_of(built.urdf())
+    first = answered(built.urdf(), built.moves)
     built.seed = seed
-    again = robot_of(built.urdf())
+    again = answered(built.urdf(), built.moves)
     assert set(first.joint_names) == set(again.joint_names) and set(first.hands) == set(again.hands)
     assert {d.joints[0]: d.margin for d in first.arm.doubts} == pytest.approx(
         {d.joints[0]: d.margin for d in again.arm.doubts}
@@ -147,24 +172,12 @@ def test_a_jaw_in_line_stands_still_where_it_is_named_so(name: str):
 
 @pytest.mark.parametrize("name", ["joint6", "m_6", "Revolute-57"])
 def test_a_jaw_in_line_without_a_name_is_asked_about_and_the_option_is_one(name: str):
-    robot = robot_of(one_jaw(name))
-    doubt = next(f for f in robot.findings if f.code == "arm-doubt")
-    assert name in robot.joint_names and doubt.severity == "warning"
-    assert "part of the arm, and may be a jaw" in doubt.message and doubt.fix == f"--lock {name} if '{name}' is"
-    again = robot_of(one_jaw(name), lock=(name,))
-    assert name in again.arm.locked and not again.arm.doubts
-
-
-def test_a_branch_that_stands_still_in_doubt_is_freed_by_its_option():
-    bar = Built()
-    end = bar.arm("base", 0.0, 5)
-    for side in (0.1, -0.1):  # two short sticks that are alike, but as apart as no jaws are
-        bar.add(end, p=(0, side, 0.05), axis=Z, moves=False)
-    robot = robot_of(bar.urdf())
-    for doubt in robot.arm.doubts:
-        assert doubt.margin < MARGIN and doubt.role == "jaw" and doubt.told
-        names = tuple(re.findall(r"--free (\S+)", doubt.option))
-        assert names and set(names) <= set(robot_of(bar.urdf(), free=names).joint_names)
+    told = doubted(one_jaw(name))
+    assert f"'{name}' is part of the arm or a jaw" in told.message
+    assert told.fix == f"--lock {name} for a jaw, --free {name} for part of the arm"
+    for moves in ({name}, set[str]()):
+        robot = answered(one_jaw(name), moves)
+        assert (name in robot.joint_names, robot.arm.doubts) == (bool(moves), ())
 
 
 def test_names_say_roles_in_their_last_word():
@@ -182,20 +195,21 @@ def test_words_that_all_names_share_tell_nothing():
     assert robot.dimensions.arm == 6
 
 
-def test_what_only_pans_and_tilts_is_the_arm_where_nothing_else_moves():
+def test_what_only_pans_and_tilts_is_the_arm_of_a_stand_and_stands_still_on_a_base():
     built = Built()
     built.head("base")
-    for text in (built.urdf(), built.urdf().replace("n0j", "neck").replace("n1j", "head")):
-        robot = robot_of(text)
-        assert robot.dimensions.arm == 2 and not robot.arm.doubts
+    named = built.urdf().replace("n0j", "neck").replace("n1j", "head")
+    assert robot_of(named, base="fixed").joint_names == ("neck", "head")
+    assert {"neck", "head"} <= set(robot_of(named).arm.locked)
+    for moves in ({"n0j", "n1j"}, set[str]()):  # without a name it may be a short arm
+        assert set(answered(built.urdf(), moves).joint_names) == moves
 
 
 def test_what_turns_alone_is_asked_about_unless_it_is_named():
     built = Built()
     built.add("base", "continuous", p=(0.1, 0, 0.4), axis=Z, mass=0.1)
-    robot = robot_of(built.urdf())
-    assert robot.joint_names == ("n0j",) and [limb.option for limb in robot.arm.doubts] == ["--lock n0j"]
-    assert not robot_of(built.urdf(), lock=("n0j",)).arm.doubts
+    assert doubted(built.urdf()).fix == "--lock n0j for a sensor, --free n0j for part of the arm"
+    assert answered(built.urdf(), {"n0j"}).joint_names == ("n0j",)
     assert "sensor" in robot_of(built.urdf().replace("n0j", "lidar_joint")).arm.reasons["lidar_joint"]
 
 
@@ -233,7 +247,7 @@ OTHER = '<robot name="r"><group name="gripper"><joint name="joint6"/><joint name
 def test_an_srdf_that_is_broken_is_told_and_one_of_another_robot_says_nothing(tmp_path, text, warned):
     (tmp_path / "robot.urdf").write_text(one_jaw("joint6"))
     (tmp_path / "robot.srdf").write_text(text)
-    robot = load(tmp_path / "robot.urdf")
+    robot = load(tmp_path / "robot.urdf", free=("joint6",))
     told = [f.message for f in robot.findings if f.code == "arm-srdf"]
     assert "joint6" in robot.joint_names and len(told) == warned == any("robot.srdf" in message for message in told)
 
@@ -273,10 +287,29 @@ def test_doubts_of_one_kind_are_one_line_whose_option_ends_them():
         end = built.arm("base", side, 5)
         wrist = built.add(end, p=(0, 0, 0.06), axis=Z, mass=0.2)
         built.add(wrist, p=(0.02, 0, 0.03), mass=0.05)
-    doubts = [f for f in robot_of(built.urdf()).findings if f.code == "arm-doubt"]
-    assert len(doubts) == 1 and "are each taken as part of the arm" in doubts[0].message
-    names = tuple(re.findall(r"--lock (\S+)", doubts[0].fix))
+    told = doubted(built.urdf())
+    assert "are each part of the arm or a jaw" in told.message
+    names = tuple(re.findall(r"--lock (\S+)", told.fix))
     assert len(names) == 2 and not robot_of(built.urdf(), lock=names).arm.doubts
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_joints_of_an_arm_with_limits_of_one_value_are_asked_about(count: int):
+    """An exporter writes 0 and 0 where nobody said more, and some write a rigid joint so."""
+    text = chain("arm", 6, "base")
+    for i in range(count):
+        head, tail = text.split(f'name="arm_joint_{i}"')
+        text = (
+            head
+            + f'name="arm_joint_{i}"'
+            + re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="0" upper="0"', tail, count=1)
+        )
+    names = {f"arm_joint_{i}" for i in range(count)}
+    every = {f"arm_joint_{i}" for i in range(6)}
+    told = doubted(Drive().urdf(text))
+    assert "limits of one value" in told.message and {*re.findall(r"--lock (\S+)", told.fix)} == names
+    assert set(answered(Drive().urdf(text), every).joint_names) == every
+    assert set(answered(Drive().urdf(text), every - names).joint_names) == every - names
 
 
 # --- Hands and arms of two --------------------------------------------------------------------------------------------

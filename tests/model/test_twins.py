@@ -20,6 +20,7 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.base.wheels import Candidate, radius_by_inertia
 from mmnn_pin.model.loading import load
+from mmnn_pin.model.urdf.finding import AuditError
 from mmnn_pin.model.urdf.reading import parse
 from mmnn_pin.model.urdf.shapes import AtRest
 
@@ -183,10 +184,15 @@ def low_arm(joints: int, axis=(0, 1, 0)) -> str:
 @settings(max_examples=8, deadline=None)
 def test_an_endless_shoulder_low_on_the_base_is_an_arms(joints, axis):
     text = chassis(pair() + low_arm(joints, axis)).replace(ARM, "")
-    robot = robot_of(text)
     if joints == 1 and axis[1]:  # nothing tells it from a third wheel: it stands still, and the way out is printed
-        told = next(f for f in robot.findings if f.code == "base-stray")
+        told = next(f for f in robot_of(text).findings if f.code == "base-stray")
         robot = followed(text, ways_of(told.fix)[-1])
+    elif joints == 1:  # nor from a head: it is asked about
+        with pytest.raises(AuditError, match="is part of the arm or a head") as error:
+            robot_of(text)
+        robot = followed(text, ways_of(error.value.fix)[-1])
+    else:
+        robot = robot_of(text)
     assert robot.joint_names == tuple(f"u{i}j" for i in range(joints))
 
 
@@ -349,11 +355,16 @@ def test_wheels_a_little_over_what_reaches_deepest_of_a_flat_base_have_a_way_out
     ("left", "right", "code", "words"),
     [
         ("left", "right", "", ""),
-        ("right", "left", "base-sides", "is on the left: does the robot drive along -x"),
+        ("right", "left", "base-heading", "does the robot drive along x"),
         ("wheel_l", "wheel_r", "base-stated", "names 'wheel_r', which the robot does not have"),
     ],
 )
 def test_a_plugin_that_swaps_the_sides_or_names_nothing_is_told(left, right, code, words):
     plugin = f"<plugin name='d' filename='x'><leftJoint>{left}</leftJoint><rightJoint>{right}</rightJoint></plugin>"
-    found = codes(robot_of(chassis(f"{pair()}<gazebo>{plugin}</gazebo>")))
+    text = chassis(f"{pair()}<gazebo>{plugin}</gazebo>")
+    if code == "base-heading":
+        with pytest.raises(AuditError, match=words):
+            robot_of(text)
+        return
+    found = codes(robot_of(text))
     assert words in found[code] if code else not {"base-sides", "base-stated"} & found.keys()

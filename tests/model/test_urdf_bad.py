@@ -163,7 +163,7 @@ BAD = {
                                 19, "negative-mass", "link 'tip': mass -1 kg"),
     "negative inertia": ('ixx="0.1"', 'ixx="-0.1"', 4, "inertia-not-positive", "not positive definite.*-0.1"),
     "zero inertia": ('ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.01"',
-                     'ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"', 4, "inertia-not-positive", "not positive"),
+                     'ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"', 4, "zero-inertia", "is zero"),
     "products too large": ('ixy="0"', 'ixy="0.2"', 4, "inertia-not-positive", "not positive definite"),
 }  # fmt: skip
 

@@ -318,7 +318,8 @@ def test_cylinders_that_are_welded_on_the_floor_are_wheels(axis):
 
 
 def test_names_on_the_wrong_side_are_told():
-    assert "base-sides" in codes(robot_of(Drive(names=("right_wheel", "left_wheel")).urdf()))
+    with pytest.raises(RobotError, match="does the robot drive along x of the root link 'base', or along -x"):
+        robot_of(Drive(names=("right_wheel", "left_wheel")).urdf())
     assert "base-sides" not in codes(robot_of(Drive(names=("left_wheel", "right_wheel")).urdf()))
     assert "base-sides" not in codes(robot_of(Drive(names=("a", "b")).urdf()))
 
@@ -380,7 +381,7 @@ def test_wheels_of_which_some_have_motors_skid():
     parts = "".join(f'<transmission name="t_{n}"><joint name="{n}"/></transmission>' for n in ("fl", "fr"))
     robot = robot_of(four(more=parts))
     assert robot.base.kind == "skid_steer" and "base-driven" in codes(robot)
-    cited = next(f.message for f in robot.findings if f.code == "base-doubt")
+    cited = next(f.message for f in robot.findings if f.code == "base-evidence")
     assert "transmissions only of fl, fr (line" in cited
     whole = "".join(f'<transmission name="t_{n}"><joint name="{n}"/></transmission>' for n in CORNERS)
     assert robot_of(four(more=whole + MOVE)).base.kind == "holonomic"

@@ -211,8 +211,9 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     shown = " ".join(mesh.get("filename", "") for mesh in rest.document.root.iterfind("link/*/geometry/mesh"))
     if hit := MECANUM.search(f"{called} {shown}"):
         yield Evidence("holonomic", f"the robot or a mesh of it is called '{hit[0]}'", 1, "mecanum")
-    if hit := OUTDOORS.search(called):
-        yield Evidence("skid_steer", f"the robot is called '{hit[0]}'", 1, "called")
+    for meaning, pattern in (*WORDS, ("skid_steer", OUTDOORS)):
+        if hit := pattern.search(called):
+            yield Evidence(meaning, f"the robot is called '{hit[0]}'", 1, "called")
 
 
 # -- what drives its joints --------------------------------------------------------------------------------------------

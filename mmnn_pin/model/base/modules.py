@@ -38,6 +38,7 @@ from .steered import STEERED_KINDS
 from .wheels import STEER_NAMES, TOUCHING, TRAIL, Candidate, Candidates, coaxial, parallel, rolling
 
 TURNED = 0.12  # trail by radius from which the floor turns a wheel (Robile's 10 mm of 51)
+ALIKE = 0.05  # radii that differ by less than this fraction are of wheels of one kind
 ON_LINE = 0.02  # wheels of one axle may be off their line by this fraction of its width
 STEERED = tuple(kind.kind for kind in STEERED_KINDS)
 ROLES = ("steered", "caster", "powered", "waist", "hitch")
@@ -47,6 +48,7 @@ WEIGHTS = {  # of what is seen of a module, for each role, as of `model.signs`; 
     "trail as casters do": (-3.5, 3.0, 3.0, 0.0, 0.0),
     "trail a little": (0.0, 1.5, -4.0, 0.0, 0.0),
     "no trail: casters could not follow": (1.0, -1.0, -5.0, 0.0, 0.0),
+    "wheels as large as those that do not turn aside": (1.0, -1.0, 0.0, 0.0, 0.0),  # of casters few are
     "make an axle of their own": (3.0, 0.0, 0.0, 0.0, 0.0),
     "have motors": (3.0, -3.0, 3.0, 4.0, -4.0),
     "no motors, as others have": (-3.0, 1.0, 0.0, -3.0, 3.0),
@@ -230,6 +232,9 @@ def seen_of(rest: AtRest, some: Sequence[Module], under: Undercarriage) -> Itera
     yield "trail as casters do" if trails else none, ""
     if not trails and under.fixed and front_axle(wheels, under.fixed):
         yield "make an axle of their own", ""
+    large = max((c.radius for c in under.fixed), default=math.inf)
+    if all(abs(c.radius - large) < ALIKE * large for c in wheels):
+        yield "wheels as large as those that do not turn aside", ""
     powered = [m.joint.name for m in some if m.joint.name in under.motors]
     rolls = [c.joint.name for c in wheels if c.joint.name in under.motors]
     if powered:

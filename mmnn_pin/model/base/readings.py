@@ -252,7 +252,7 @@ class Drives:
                 ("on the axle, too", -2.0) if on_axle else ("wheels that cannot swivel and would have to slide", -2.5)
             )
             if not on_axle and alike(c, drives[0]):
-                why, weight = "wheels as large as those that drive, which would have to slide", -3.0
+                why, weight = "wheels as large as those that drive, which would have to slide", -4.0
             groups.setdefault((why, weight), []).append(c)
             if is_called_caster(c):
                 groups.setdefault(("called casters", 1.5), []).append(c)

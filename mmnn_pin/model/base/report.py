@@ -220,7 +220,8 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
         are = "are each" if len(alike) > 1 else "is"
         names = [f"'{doubt.joints[0]}'" for doubt in alike]
         text = f"{few(names)} {are} {taken} or {other}"
-        fix = f"{' '.join(d.option(d.other) for d in alike)} for {other}, {' '.join(d.option(d.role) for d in alike)} for {taken}"
+        ways = (" ".join(doubt.option(role) for doubt in alike) for role in kinds[::-1])
+        fix = f"{next(ways)} for {other}, {next(ways)} for {taken}"
         notes.append(note(rest, "arm-doubt", alike[0].joints[0], text, "; ".join(alike[0].told), fix, "arm"))
     if arm.broken:
         text, why = f"{few(list(map(str, arm.broken)))} cannot be read", "its groups tell nothing of the arm"

@@ -459,7 +459,7 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         why = "no joint turns without end about a horizontal axis with something round on the floor"
         fix = f"name them with --wheels if they turn in this file, or {UNDRIVEN}"
         raise undecided(rest, [], why, fix, [overrides.base])
-    if len(called := called_wheels(rest)) >= ROUND_ABOUT:
+    if len(called := called_wheels(rest)) > 1:
         why = "joints that turn without end are called wheels, and none is found on the floor"
         raise undecided(rest, called, why, FORCES, ["fixed"])
     text = "nothing in this file could be a wheel: taken as an arm on a stand"

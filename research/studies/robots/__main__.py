@@ -167,6 +167,7 @@ def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> list[tuple
     if asked and not any("--wheels" in way and f"--{asked}" in way for way in ways):
         return [(asked, str(entry[asked.replace("-", "_")]))]
     wanted = [f"--base {kind}"] + [f"--{asked}"] * bool(asked) + ["--wheels"] * ("wheels" in entry)
+    wanted += ["--steer"] * ("steering" in entry)
     for way in sorted(ways, key=lambda way: [option not in way for option in wanted]):
         options = WAY.findall(way)
         stated = dict(options)
