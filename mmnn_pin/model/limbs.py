@@ -204,8 +204,13 @@ class Limbs:
                 found = {joint: limb for joint, limb in found.items() if joint not in joints}
             roles = (role, "arm") if still > moves else ("arm", role)
             found[name] = Limb(joints, *roles, tuple(signs), abs(still - moves))
-        if not self.base.columns and not any(limb.role == "arm" for limb in found.values()):  # what else would move?
-            found |= {name: replace(limb, role="arm") for name, limb in found.items() if limb.role in ("head", "jaw")}
+        # what else is there to move? what names call a head is none on a base
+        if not any(limb.role == "arm" for limb in found.values()):
+            found |= {
+                name: replace(limb, role="arm")
+                for name, limb in found.items()
+                if limb.role in ("head", "jaw") and not (self.base.columns and self.is_called_head(limb))
+            }
         return found
 
     @cached_property
@@ -219,11 +224,19 @@ class Limbs:
         """Joints of the arm."""
         return {name for name, role in self.roles.items() if role == "arm"}
 
+    def is_called_head(self, limb: Limb) -> bool:
+        """Whether names of its joints say that it is a head."""
+        return any(key == "names of heads" for key, _, _ in self.seen(limb.joints[0]))
+
     def doubts(self, said: Iterable[str]) -> tuple[Limb, ...]:
         """Branches whose roles beat others by little, one of every chain; none of those that the user speaks of."""
         found, known = list[Limb](), {*said}
+        open_ones = [limb for limb in self.limbs.values() if limb.margin < MARGIN and limb.role == "arm"]
+        in_doubt = {name for limb in open_ones for name in limb.joints}
         for name, limb in sorted(self.limbs.items(), key=lambda item: item[1].margin):
-            alone = not self.base.columns and self.arm <= {*limb.joints} and limb.other in ("head", "jaw")
+            branch = self.tree[name]
+            sole = bool(self.base.columns) and not branch.above and not branch.below  # hardly an arm
+            alone = not sole and self.arm <= in_doubt and limb.role == "arm"  # something moves
             if limb.margin < MARGIN and limb.other != limb.role and not alone and not known & {"all", *limb.joints}:
                 found.append(limb)
                 known |= {*limb.joints, *self.tree[name].above}

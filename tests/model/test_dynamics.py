@@ -13,6 +13,7 @@ from scipy.integrate import simpson
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model import Robot, load
+from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.checks.second_answers import WorldFrame
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import build
@@ -89,7 +90,8 @@ def tower() -> Robot:
     leg = '<collision><origin xyz="0 0 -0.1"/><geometry><box size="0.02 0.02 0.2"/></geometry></collision>'
     text += f'<link name="caster">{inertial(0.5, (0.01, 0.01, 0.01))}{leg}</link>'
     text += joint("caster_joint", "base", "caster", '<origin xyz="-0.2 0 0.2"/>', "0 0 1")
-    return robot_of(OFFSET.urdf().replace("</robot>", text + "</robot>"))
+    document = parse(OFFSET.urdf().replace("</robot>", text + "</robot>").encode(), "robot.urdf")
+    return build(document, Overrides(free=("all",)))  # beside a tower the short arm could be a head
 
 
 ROBOTS = {"platform_arm": load("platform_arm"), "offset": robot_of(OFFSET.urdf()), "tower": tower()}

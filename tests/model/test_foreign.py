@@ -213,14 +213,15 @@ def test_wheels_of_a_skid_steer_base_that_have_no_motors_are_told():
     assert "base-driven" not in codes(robot_of(four(more=plugin.replace(named, every))))
 
 
-def test_joints_whose_limits_are_one_value_are_no_arm():
+def test_joints_whose_limits_are_one_value_are_asked_about():
     stiff = LIMIT.format(0, 0)
     caster = link("fork", 0.3) + joint("turn", "revolute", "base", "fork", p=(-0.2, 0.1, 0.13), axis=UP, more=stiff)
     caster += link("roll", 0.1) + joint("rolls", "revolute", "fork", "roll", p=(-0.05, 0, -0.08), more=stiff)
-    robot = robot_of(chassis(pair() + caster))
-    assert robot.joint_names == ("shoulder", "elbow") and {"turn", "rolls"} <= robot.arm.locked.keys()
-    assert "turn, rolls" in codes(robot)["arm-locked"]
-    assert "turn" in robot_of(chassis(pair() + caster), free=("turn",)).joint_names
+    with pytest.raises(RobotError, match="turn, rolls have limits of one value") as error:
+        robot_of(chassis(pair() + caster))
+    assert error.value.fix == "--free turn --free rolls if so, --lock turn --lock rolls if not"
+    assert robot_of(chassis(pair() + caster), lock=("turn", "rolls")).joint_names == ("shoulder", "elbow")
+    assert {"turn", "rolls"} <= {*robot_of(chassis(pair() + caster), free=("turn", "rolls")).joint_names}
 
 
 # --- xacro ------------------------------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import shlex
@@ -134,13 +133,13 @@ def test_the_first_lines_say_what_was_understood_and_a_run_says_them_too(call):
 
 
 def test_a_reading_in_doubt_is_marked_with_how_to_say_it_otherwise(call):
-    across = Drive(frame=(0.0, 0.0, math.pi / 2), names=("a", "b"), flips=(1, -1))
-    file = written(across.urdf(ARM.replace('xyz="0.1 0.0 1.0"', 'xyz="0.0 0.0 1.0"')))
+    plugin = "<gazebo><plugin filename='p' name='p'><wheelSeparation>0.5</wheelSeparation></plugin></gazebo>"
+    file = written(Drive().urdf(ARM + plugin))
     lines = call("inspect", file)[1].splitlines()
-    assert lines[0].endswith("forward y") and lines[2:4] == ["in doubt: forward (--forward -y)", ""]
+    assert lines[2:4] == ["in doubt: dimensions, which a file states otherwise (--track 0.5)", ""]
     options = ("--robot", file, "--controller", "pd", "--set", "time.duration=0.02", "--set", "plots=[]")
     assert call("run", "track", *options)[1].splitlines()[:4] == lines[:4]
-    assert call("inspect", file, "--forward", "-y")[1].splitlines()[2] == ""
+    assert call("inspect", file, "--track", "0.5")[1].splitlines()[2] == ""
 
 
 def test_a_base_that_steers_is_said_by_what_steers_and_what_drives(call):

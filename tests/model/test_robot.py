@@ -110,10 +110,9 @@ def test_axle_ahead_of_the_root_swings_the_root_sideways():
     np.testing.assert_allclose(robot.T[:3, :2], [[1, 0], [0, -0.3], [0, 1]], atol=1e-12)
 
 
-@pytest.mark.parametrize("heading", [np.pi / 2, -np.pi / 2, np.pi])
-def test_forward_is_along_the_root_x_and_across_it_where_names_and_rates_say(heading):
-    robot = robot_of(Drive(frame=(0, 0, heading)).urdf())
-    assert robot.frame[2] == pytest.approx(0 if heading == np.pi else heading)
+@pytest.mark.parametrize("heading", [np.pi / 2, -np.pi / 2])
+def test_forward_is_across_the_root_x_where_names_and_rates_say(heading):
+    assert robot_of(Drive(frame=(0, 0, heading)).urdf()).frame[2] == pytest.approx(heading)
 
 
 def test_wheels_weigh_in_the_reduced_mass_with_their_spin():

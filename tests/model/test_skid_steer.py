@@ -205,8 +205,8 @@ def test_a_name_that_steers_is_never_a_skid_steer_by_guess():
     with pytest.raises(Undecided, match="'ackermann' among its names: does it steer"):
         robot_of(rover().replace('name="rover"', 'name="ackermann"'))
     robot = robot_of(rover().replace('name="rover"', 'name="skid_steer"'))
-    told = next(f for f in robot.findings if f.code == "base-doubt")
-    assert "nothing in the file speaks of rollers" in told.message and told.fix == "--base holonomic for the other"
+    told = next(f for f in robot.findings if f.code == "base-evidence")
+    assert robot.base.kind == "skid_steer" and "the robot is called 'skid'" in told.message
     assert robot_of(rover(), base="holonomic").base.kind == "holonomic"  # as it says
     assert "the robot is called 'rover'" in str(robot_of(rover()).findings)
 

@@ -48,7 +48,7 @@ WEIGHTS = {  # of what is seen of a module, for each role, as of `model.signs`; 
     "trail as casters do": (-3.5, 3.0, 3.0, 0.0, 0.0),
     "trail a little": (0.0, 1.5, -4.0, 0.0, 0.0),
     "no trail: casters could not follow": (1.0, -1.0, -5.0, 0.0, 0.0),
-    "wheels as large as those that do not turn aside": (1.0, -1.0, 0.0, 0.0, 0.0),  # of casters few are
+    "wheels as large as those that do not turn aside": (0.0, -1.6, 0.0, 0.0, 0.0),  # of casters few are
     "make an axle of their own": (3.0, 0.0, 0.0, 0.0, 0.0),
     "have motors": (3.0, -3.0, 3.0, 4.0, -4.0),
     "no motors, as others have": (-3.0, 1.0, 0.0, -3.0, 3.0),

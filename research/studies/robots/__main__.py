@@ -357,7 +357,7 @@ def tracked(rows: list[track_any.RobotRow]) -> str:
 @click.option(
     "--corpus",
     default="corpus.toml",
-    help="File of truths beside this one: steered.toml, fresh.toml, wild.toml and drawn.toml have others.",
+    help="File of truths beside this one.",
 )
 @click.option("--inspect", is_flag=True, help="Time `mmnn inspect` on every robot that is accepted.")
 @click.option("--track", is_flag=True, help="Drive the experiment `track` with every robot that is accepted.")
