@@ -92,7 +92,7 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
                 return Outcome("refused rightly", told, " ".join(steps), took)
             options = packages_of(entry, folder, error.fix, said) or way_out(entry, error.fix, said)
             if "joints" not in entry and {name for name, _ in options} & {"free", "lock"}:  # of its ways the right one
-                options = min(by_joint(error.fix), key=lambda way: missed(entry, path, said, way))
+                options = nearest(entry, path, said, by_joint(error.fix))
             if not options and not entry["kind"].startswith("refused: ") and (edit := WRITE.search(error.fix)):
                 path, said["package_dirs"] = written(path, said, *edit.groups()), folders_above(path, said)
                 said |= {"xacro": (), "without": ()}  # it is expanded
@@ -191,12 +191,17 @@ def by_joint(fix: str) -> list[list[tuple[str, str]]]:
     return list(filter(None, map(WAY.findall, re.split("; |, | or ", fix))))
 
 
-def missed(entry: dict[str, Any], path: str | Path, said: dict[str, Any], way: list[tuple[str, str]]) -> bool:
-    """Whether a robot has another number of joints in its arm than the truth, where a way out is followed."""
-    try:
-        return load(path, **followed(said, way)).dimensions.arm != entry.get("arm")
-    except InputError:  # another question
-        return False
+def nearest(
+    entry: dict[str, Any], path: str | Path, said: dict[str, Any], ways: list[list[tuple[str, str]]]
+) -> list[tuple[str, str]]:
+    """The first of some ways that leads to the truth's number of joints of the arm, or to another question."""
+    for way in ways:
+        try:
+            if load(path, **followed(said, way)).dimensions.arm == entry.get("arm"):
+                return way
+        except InputError:
+            return way
+    return ways[0] if ways else []
 
 
 def followed(said: dict[str, Any], options: list[tuple[str, str]]) -> dict[str, Any]:
