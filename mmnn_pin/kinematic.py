@@ -219,6 +219,12 @@ def command(row: Array, at: IntArray, gains: Array, K: Array, before: Array, ste
         nudot_ref[nb + i] = row[at[QDDOT_REF] + i] + K[i] * edot
 
 
+def by_name(names: tuple[str, ...], gains: Array) -> dict[str, Array]:
+    """Gains of a base as `Kinematic.base_gains` has them, by the fields that they are of, arrays of one or more."""
+    ends = np.cumsum([np.size(getattr(Kinematic(), name)) for name in names])
+    return dict(zip(names, np.split(gains, ends[:-1]), strict=True)) if names else {}
+
+
 class Kinematic(Settings, frozen=True):
     """Gains of the kinematic layer.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..compiled import one_thread
 from ..errors import ConfigError, Values
+from ..kinematic import by_name
 from ..settings import Numbers
 from ..signals import Array
 from .plan import Plan
@@ -134,9 +135,8 @@ def lower_kinematics(plan: Plan) -> Values | None:
     for share in SHARES[1:]:
         gains, K = two_digits(share * plan.gains), two_digits(share * plan.K)
         if all(holds(replace(plan, gains=f * gains, K=f * K)) for f in (1.0, ROOM)):
-            names = plan.robot.base.gain_names
-            base = zip(names, np.split(gains, len(names)), strict=True) if names else ()
-            texts = {name: in_short(tuple(part) if part.size > 1 else float(part[0])) for name, part in base}
+            base = by_name(plan.robot.base.gain_names, gains)
+            texts = {name: in_short(tuple(part) if part.size > 1 else float(part[0])) for name, part in base.items()}
             return Values("kinematic", texts | ({"K": in_short(as_given(K))} if K.size else {}))
     return None
 

@@ -20,7 +20,7 @@ import numpy as np
 from ...actuator.settings import heaviest
 from ...errors import ConfigError, UnknownName
 from ...files import read_toml
-from ...kinematic import Kinematic
+from ...kinematic import Kinematic, by_name
 from ...loop.servo import POSITION, VELOCITY, Command, movers, own_velocities
 from ...loop.stable_gains import SHARES, holds, two_digits
 from ...loop.suited import MotorLoad
@@ -280,12 +280,12 @@ def borne(experiment: Experiment, robot: Robot) -> dict[str, Any]:
     Raises:
         UnfitHardware: It bears none.
     """
-    whole, names = experiment.loop(robot, JUDGED).plan(), robot.base.gain_names
+    whole = experiment.loop(robot, JUDGED).plan()
     alike = whole.servo is not None and bool(whole.servo.on.all())  # no feedback is to suit these gains
 
     def with_shares(base: float, arm: float) -> dict[str, Any]:
-        parts = np.split(two_digits(base * whole.gains), len(names)) if names else []
-        made = dict(zip(names, (tidy(part) if part.size > 1 else tidy(part)[0] for part in parts), strict=True))
+        parts = by_name(robot.base.gain_names, two_digits(base * whole.gains)).items()
+        made: dict[str, Any] = {name: tidy(part) if part.size > 1 else tidy(part)[0] for name, part in parts}
         return made | ({"K": short(tidy(two_digits(arm * whole.K)))} if whole.K.size else {})
 
     def bears(base: float, arm: float, room: float = ROOM) -> bool:

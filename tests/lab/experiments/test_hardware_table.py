@@ -270,7 +270,7 @@ def test_a_joint_without_limits_that_cannot_hold_its_load_swings_where_it_can(tm
 
 PAIRS = [
     ("so100", "feetech-sts3215"), ("two_dofs", "dynamixel-xm430"), ("panda", "unknown"), ("panda", "franka"),
-    ("tricycle_arm", "unknown"), ("platform_arm", "tiago"),
+    ("tricycle_arm", "unknown"), ("casters_arm", "turtlebot3"), ("platform_arm", "tiago"),
     ("ur3", "ur-e"), ("tracked_arm", "kinova-gen3"), ("double_pendulum", "lekiwi"), ("finger_edu", "turtlebot3"),
 ]  # fmt: skip
 
