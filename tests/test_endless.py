@@ -54,7 +54,6 @@ BESIDE = {  # what a command looks for beside what it is given
     "out/results.jsonl": "study short.toml --workers 1 --out out",
     "runs/run.h5": "plot runs --out out",
     "tuned/tune.sqlite": "tune tuning.toml --workers 1 --out tuned",
-    "new/model.urdf": "inspect new",
 }
 
 
@@ -156,6 +155,16 @@ def test_it_is_refused_where_a_command_looks_for_it_by_itself(
     Path(name).parent.mkdir(exist_ok=True)
     made(kind, Path(name))
     assert Path(name).name in refused_soon(BESIDE[name].split(), capsys)
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_no_robot_is_offered_that_is_no_plain_file(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("new").mkdir()
+    made(kind, Path("new/model.urdf"))
+    assert ("model.urdf" in refused_soon(["inspect", "new"], capsys)) == (kind == "large")
 
 
 @pytest.mark.parametrize("what", ["pipe", "/dev/zero", "large"])

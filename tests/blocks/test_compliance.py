@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pinocchio as pin
@@ -495,7 +496,7 @@ def test_what_is_printed_against_too_much_can_be_used(wrong, delay):
             made(robot, Impedance(**tried), held=held(robot, delay))
         except ConfigError as error:
             if error.key == "impedance":  # shorten ... to 9.1 ms together
-                delay = 1e-3 * float(error.fix.split()[5])
+                delay = 1e-3 * float(re.search(r"to (\S+) ms together", error.fix)[1])
                 continue
             name, number = error.key.split(".")[1], float(error.fix.split()[3].strip(","))
             assert "at most" in error.fix
