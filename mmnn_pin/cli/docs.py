@@ -196,29 +196,77 @@ def kinds() -> dict[str, Any]:
     """The files that a user writes, by name, with what reads them."""
     from ..deploy.ros2.settings import Node
     from ..lab.experiments.experiment import Experiment
+    from ..lab.experiments.hardware_table import HardwareTable
     from ..lab.study.settings import StudySettings
     from ..model.base.overrides import Overrides
 
-    return {"experiment": Experiment, "study": StudySettings, "robot": Overrides, "ros2": Node}
+    return {
+        "experiment": Experiment,
+        "study": StudySettings,
+        "hardware": HardwareTable,
+        "robot": Overrides,
+        "ros2": Node,
+    }
 
 
 def schema(name: str) -> dict[str, Any]:
     """The JSON schema of a kind of file, with meanings; no key is required, for a file may start from another one."""
-    from ..settings.meanings import meanings
-
-    kind = kinds()[name]
+    kind, narrow = kinds()[name], narrower()
     found = msgspec.json.schema(kind)
     without_defaults(found)
     for part in every_struct(kind, {}).values():
-        table = found["$defs"].get(part.__name__, {})
-        table.pop("required", None)
-        for key, text in meanings(part).items():
-            if key in table.get("properties", {}):
-                table["properties"][key]["description"] = text
+        if table := found["$defs"].get(part.__name__):
+            table["properties"] |= narrow.get(part.__name__, {})
+            complete_table(table, part)
     if name == "experiment":
         own = {"type": "string", "description": "Another experiment, on top of which this file says what differs."}
         found["$defs"][kind.__name__]["properties"]["experiment"] = own
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"mmnn_pin: {name}", **found}
+
+
+def narrower() -> dict[str, dict[str, Any]]:
+    """Struct to key to schema of what the types of Python say too little of: tables with a `type`, names, files."""
+    from ..lab.experiments import references as r
+    from ..loop.loop import PLANTS
+    from ..loop.servo import EFFORT, POSITION, VELOCITY
+    from ..model.base import KINDS
+    from ..model.base.overrides import ARMS, FORWARD
+
+    interfaces = {"type": "object", "additionalProperties": {"enum": [EFFORT, VELOCITY, POSITION]}}
+    profile, hand = one_of(r.ARM_PROFILES), {"type": "array", "items": one_of(r.HAND_PATHS)}
+    arm = {"anyOf": [{"type": "array", "items": profile}, one_of({"swing": r.Swing, **r.ARM_PROFILES})]}
+    reference = {"base": one_of(r.BASE_PATHS), "heading": profile, "arm": arm}
+    hardware = {"anyOf": [{"$ref": "#/$defs/HardwareTable"}, {"type": "string"}]}
+    return {
+        "Experiment": {"plant": {"enum": [*PLANTS]}, "interfaces": interfaces, "hardware": hardware},
+        "Overrides": {key: {"enum": [*known]} for key, known in (("base", KINDS), ("arm", ARMS), ("forward", FORWARD))},
+        "ReferenceTables": reference,
+        "HeldOutReference": reference,
+        "HandTables": {"path": hand},
+        "Other": {"path": hand},
+    }
+
+
+def one_of(kinds: dict[str, Any]) -> dict[str, Any]:
+    """The schema of a table that is of one of some kinds; `type` says which, or another file from which it starts."""
+    tables = []
+    for name, kind in kinds.items():
+        table = msgspec.json.schema(kind)["$defs"][kind.__name__]
+        without_defaults(table)
+        complete_table(table, kind)
+        table["properties"]["type"] = {"enum": [name]}
+        tables.append(table | {"additionalProperties": False})
+    return {"anyOf": tables}
+
+
+def complete_table(table: dict[str, Any], kind: type) -> None:
+    """Give the schema of a table the meanings of its keys, and let none be required."""
+    from ..settings.meanings import meanings
+
+    table.pop("required", None)
+    for key, text in meanings(kind).items():
+        if key in table["properties"]:
+            table["properties"][key] = table["properties"][key] | {"description": text}
 
 
 def without_defaults(part: Any) -> None:
@@ -305,7 +353,10 @@ def names(context: click.Context, parameter: click.Parameter, incomplete: str) -
 )
 @click.argument("page", required=False, shell_complete=names)
 @click.option(
-    "--schema", "file", type=click.Choice(["experiment", "study", "robot", "ros2"]), help="JSON schema of a file."
+    "--schema",
+    "file",
+    type=click.Choice(["experiment", "study", "hardware", "robot", "ros2"]),
+    help="JSON schema of a file.",
 )
 @shared
 def docs(page: str | None, file: str | None, as_json: bool) -> int:

@@ -151,19 +151,50 @@ def test_what_stands_beside_fields_is_printed(capsys: pytest.CaptureFixture[str]
     assert above.splitlines()[2] == "    scrub: float = 0.0"
 
 
-def test_schemas_take_the_files_that_are_there_and_refuse_others(capsys: pytest.CaptureFixture[str]) -> None:
+LAB = ROOT / "mmnn_pin/lab/experiments"
+FILES = {
+    "experiment": [*LAB.glob("*.toml"), ROOT / "examples/udp/task.toml", ROOT / "examples/backing.toml"],
+    "study": [ROOT / "examples/robustness.toml", ROOT / "examples/tuning.toml"],
+    "hardware": [*(LAB / "profiles").glob("*.toml")],
+}
+WRONG = {  # a key, a type, a name
+    "experiment": [
+        *("sede = 1", "time.duraton = 3.0", "reference.base.sped = 1.0", "cases.a.sett = {}", "overrides.weels = 1"),
+        *("feedback.arm = 'fast'", "seed = 1.5", "reference.base = {type = 'line', speed = 'x'}", "masses = 'a'"),
+        *("reference.base.type = 'lin'", "reference.arm = [{type = 'sin'}]", "reference.hand.path = [{type = 'arc'}]"),
+        *("plant = 'contac'", "time.integrator = 'rk5'", "interfaces.a = 'velo'", "overrides.base = 'tank'"),
+        *("hardware.arm.interface = 'velocty'", "hardware.arm.bandwith = 1.0", "held_out.a.heading.type = 'sin'"),
+    ],
+    "study": [
+        *("sede = 1", "factors.a.unif = [1, 2]", "tune.gain = {}"),
+        *("factors.a = [1, 2]", "factors.a.uniform = ['a', 2]", "success.at_most.a = 'b'"),
+        *("model = 'nom'", "sampling.method = 'sob'", "tune.sampler = 'x'"),
+    ],
+    "hardware": [
+        *("arms.rate = 1.0", "arm.bandwith = 1.0", "joints.a.rat = 1.0", "base.odometri = 'true'"),
+        *("rate = 'fast'", "joints.a = 1.0", "arm.interface = 'velocty'", "base.odometry = 'gps'"),
+    ],
+}
+RIGHT = (
+    "hardware = 'tiago'",
+    "reference.base.speed = 0.2",
+    "reference.arm = {type = 'swing', amplitude = 1, period = 4}",
+)
+
+
+@pytest.mark.parametrize("kind", docs.kinds())
+def test_schemas_take_the_files_that_are_there_and_refuse_others(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Judged by jsonschema, which shares no code with what reads the files."""
     jsonschema = pytest.importorskip("jsonschema")
-    assert main(["docs", "--schema", "experiment"]) == 0
+    assert main(["docs", "--schema", kind]) == 0
     schema = json.loads(capsys.readouterr().out)
+    jsonschema.Draft202012Validator.check_schema(schema)
     judge = jsonschema.Draft202012Validator(schema)
-    files = [*(ROOT / "mmnn_pin/lab/experiments").glob("*.toml"), ROOT / "examples/udp/task.toml"]
-    for file in files:
-        assert [error.message for error in judge.iter_errors(tomllib.loads(file.read_text("utf-8")))] == [], file
-    for wrong in ({"sede": 1}, {"feedback": {"arm": "fast"}}, {"time": {"duraton": 3.0}}):
-        assert list(judge.iter_errors(wrong)), wrong
-    told = schema["$defs"]["Experiment"]["properties"]
-    assert told["seed"]["description"] and told["experiment"]["description"]
-    for kind in ("study", "robot", "ros2"):
-        assert main(["docs", "--schema", kind]) == 0
-        jsonschema.Draft202012Validator.check_schema(json.loads(capsys.readouterr().out))
+    right = [file.read_text("utf-8") for file in FILES.get(kind, [])] + [*(RIGHT if kind == "experiment" else ())]
+    for text in right:
+        assert [error.message for error in judge.iter_errors(tomllib.loads(text))] == [], text
+    for text in WRONG.get(kind, []):
+        assert not judge.is_valid(tomllib.loads(text)), text
+    if kind == "experiment":
+        told = schema["$defs"]["Experiment"]["properties"]
+        assert told["seed"]["description"] and told["experiment"]["description"] and told["hardware"]["description"]
