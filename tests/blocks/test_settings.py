@@ -112,5 +112,5 @@ def test_an_error_of_an_override_says_that_it_came_from_there(text: str, told: s
     assert str(caught.value).startswith(told)
     file = tmp_path / "mine.toml"
     file.write_text('experiment = "track"\n[sensor]\nnois = 1\n')
-    with pytest.raises(InputError, match=r"mine\.toml:sensor: error: unknown key 'nois'"):
+    with pytest.raises(InputError, match=r"mine\.toml:3:sensor: error: unknown key 'nois'"):
         load_experiment(file, ["time.duration=1", "actuator.lag=0.01"])

@@ -97,7 +97,7 @@ def with_case(experiment: E, name: str) -> E:
             return on_other_hardware(experiment, table, case.set)
         return msgspec.convert(table, type(experiment))
     except msgspec.ValidationError as error:
-        found = config_error(error, None, table, type(experiment))
+        found = config_error(error, table, type(experiment))
         raise found.but(key=f"cases.{name}.set.{found.key or ''}".rstrip(".")) from error
     except InputError as error:
         raise error.but(key=f"cases.{name}.set.{error.key or ''}".rstrip(".")) from error

@@ -179,7 +179,7 @@ def assembled(
     try:
         said = msgspec.convert(table, Experiment)
     except msgspec.ValidationError as error:
-        raise config_error(error, None, table) from error
+        raise config_error(error, table) from error
     fields = {name: getattr(said, name) for name in Experiment.__struct_fields__}
     fields["controllers"] = tuple(name if name in own else name_of(name) for name in names)
     return Assembled(**fields, given=robot, path=trajectory, own=own)

@@ -30,7 +30,7 @@ from .controllers import of_today
 from .experiment import FITTED, Experiment
 from .hardware import COARSEST, WAYS_OUT, Fitted, UnfitHardware, borne, require_strength
 from .hardware_table import GROUPS, BaseHardware, HardwareTable, JointHardware, beside_urdf, completed, file_of
-from .origins import of_override
+from .origins import of_override, placed
 from .references import as_long_as_its_file
 
 FOLDER = Path(__file__).parent
@@ -88,14 +88,22 @@ def load_as(kind: type[E], name_or_path: str | Path, overrides: Iterable[str], v
             return on_hardware(table, own if path.parent != FOLDER else {}, texts, kind)
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
-        raise of_override(config_error(error, users_own(path), table, kind), texts) from error
+        raise from_where(config_error(error, table, kind), path, texts) from error
     except InputError as error:
-        raise of_override(error.but(file=error.file or users_own(path)), texts) from None
+        raise from_where(error, path, texts) from None
 
 
-def users_own(path: Path) -> Path | None:
-    """The file of an experiment where it is the user's to change; None for one that comes with the package."""
-    return None if path.parent == FOLDER else path
+def from_where(error: InputError, path: Path, texts: Iterable[str]) -> InputError:
+    """An error at a key of the experiment in a file, with the override or the file and line that the key comes from."""
+    found = of_override(error, texts)
+    return placed(error, *users_own(path)) if found is error else found
+
+
+def users_own(path: Path) -> list[Path]:
+    """The file of an experiment and those that it starts from, without what comes with the package."""
+    name = read_toml(path).get("experiment")
+    further = [] if name is None else users_own(beside(path, name))
+    return [path, *further] if path.parent != FOLDER else further
 
 
 def on_hardware(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str], kind: type[E]) -> E:
@@ -130,7 +138,8 @@ def fitted_to(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str
     try:
         fitted = Fitted(hardware, robot)
     except InputError as error:
-        raise error if file is None else error.but(file=file, key=(error.key or "").removeprefix("hardware.")) from None
+        own = error.but(key=(error.key or "").removeprefix("hardware.") or None)
+        raise error if file is None else placed(own, file) from None
     said = merged({}, {key: value for key, value in own.items() if key != "hardware"})
     for text in texts:
         if text.partition("=")[0].partition(".")[0].strip() != "hardware":
@@ -188,15 +197,15 @@ def read_hardware(given: str | Mapping[str, Any]) -> HardwareTable:
 
 def as_hardware(value: Any, kind: type[Settings], file: Path | None, prefix: str) -> Any:
     """One table as settings of a kind; errors name its file, or its key within an experiment."""
-    front = prefix if file is not None else f"hardware.{prefix}"
+    front, files = (prefix, [file]) if file is not None else (f"hardware.{prefix}", [])
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        found = config_error(error, file, value, kind)
-        raise found.but(key=f"{front}{found.key or ''}".rstrip(".") or None) from None
+        found = config_error(error, value, kind)
+        own = found.key or ""
     except ConfigError as error:
-        own = (error.key or "").removeprefix(".").removeprefix("base.")
-        raise error.but(file=file, key=f"{front}{own}".rstrip(".")) from None
+        found, own = error, (error.key or "").removeprefix(".").removeprefix("base.")
+    raise placed(found.but(key=f"{front}{own}".rstrip(".") or None), *files) from None
 
 
 def on_other_hardware(base: E, table: dict[str, Any], said: Mapping[str, Any]) -> E:
@@ -323,8 +332,12 @@ def complete(path: Path, before: tuple[Path, ...] = ()) -> dict[str, Any]:
     if name is None:
         return table
     if path in before:
-        raise ConfigError("starts from itself", fix="name another experiment", file=path, key="experiment")
-    return merged(inherited(complete(beside(path, name), (*before, path))), table)
+        raise placed(ConfigError("starts from itself", fix="name another experiment", key="experiment"), path)
+    try:
+        start = beside(path, name)
+    except UnknownName as error:
+        raise placed(error.but(key="experiment"), path) from None
+    return merged(inherited(complete(start, (*before, path))), table)
 
 
 def with_starts(table: dict[str, Any], own: Mapping[str, Any], path: Path, overrides: tuple[str, ...]) -> None:
@@ -347,7 +360,7 @@ def with_starts(table: dict[str, Any], own: Mapping[str, Any], path: Path, overr
         try:
             start = merged(inherited(complete(beside(path, case["experiment"]))), inherited(own))
         except UnknownName as error:
-            raise error.but(file=path, key=f"cases.{name}.experiment") from None
+            raise placed(error.but(key=f"cases.{name}.experiment"), path) from None
         for text in overrides:
             if not text.startswith("cases."):
                 override(start, text)
@@ -457,14 +470,11 @@ def require_disturbances(items: Any) -> None:
             msgspec.convert(item, Disturbance)
 
 
-def config_error(
-    error: msgspec.ValidationError, path: Path | None, table: Any = None, root: type[Settings] = Experiment
-) -> ConfigError:
+def config_error(error: msgspec.ValidationError, table: Any = None, root: type[Settings] = Experiment) -> ConfigError:
     """The key path and a line of advice out of a message such as "Expected `int` - at `$.seed`".
 
     Args:
         error: From the conversion.
-        path: File of the experiment.
         table: What was converted; tells which of several types a table is.
         root: To what it was.
     """
@@ -480,7 +490,7 @@ def config_error(
         near = below[:3] or get_close_matches(unknown, known, n=1)
         guess = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         fix = f"{guess}there is: {', '.join(known)}" if known else "leave it out"
-        return UnknownKey(unknown, fix=fix, file=path, key=key)
+        return UnknownKey(unknown, fix=fix, key=key)
     if "missing required field `type`" in message:
         message, known = "the key 'type' is missing", tags_of(kind)
     elif key and (wrong := re.fullmatch(r"Invalid value '(.*)'", message)):
@@ -489,9 +499,9 @@ def config_error(
         message, known = f"unknown value '{wrong[1]}'", words_of(kind)
         known += ("or a number",) if float in get_args(kind) else ()
     if known:
-        return ConfigError(message, fix=f"there is: {', '.join(known)}", file=path, key=key)
+        return ConfigError(message, fix=f"there is: {', '.join(known)}", key=key)
     what, fix = wrong_type(message, value_at(table, key))
-    return ConfigError(what, fix=fix, file=path, key=key)
+    return ConfigError(what, fix=fix, key=key)
 
 
 def with_names(key: str, table: Any, root: type[Settings]) -> str:

@@ -17,6 +17,7 @@ from ...errors import ConfigError, InputError, UnknownName
 from ...files import read_toml
 from ...model.robots import find
 from ...settings import Settings, require_numbers
+from .origins import placed
 
 PROFILES = Path(__file__).parent / "profiles"
 GROUPS = ("arm", "slides", "wheels", "steering")
@@ -199,6 +200,6 @@ def completed(
     try:
         inner, _ = completed(start, merge, (*before, *([] if file is None else [file])))
     except UnknownName as error:
-        raise error.but(file=file, key="profile" if file else "hardware.profile") from None
+        raise placed(error.but(key="profile"), file) if file else error.but(key="hardware.profile") from None
     sources = [*inner.get("sources", ()), *given.get("sources", ())]
     return merge(inner, given) | ({"sources": sources} if sources else {}), file

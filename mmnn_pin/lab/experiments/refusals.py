@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from ...errors import LENGTH, ConfigError, InputError, UnknownName
-from ...files import read_text, read_toml
 from ...model.loading import load_with
 from ...model.robot import Robot
-from .config import beside, find, find_variant, users_own
+from .config import find, find_variant, users_own
 from .experiment import Experiment
-from .origins import line_of, of_override
+from .origins import of_override, placed
 
 SIZED = ("feedback", "friction", "masses", "radii", "sensor", "actuator", "interfaces")  # may hold lists of joints
 OF_POSE = "sensor.pose_noise"
@@ -115,17 +113,5 @@ def located(error: InputError, name_or_path: str, overrides: Iterable[str], vari
     if any(text.partition("=")[0].strip().partition(".")[0] == error.key.partition(".")[0] for text in texts):
         return error  # by an option
     path = find(name_or_path)
-    for file in ancestry(path if variant is None else find_variant(path, variant)):
-        if users_own(file) and (line := line_of(read_text(file), error.key)):
-            return error.but(file=file, line=line)
-    return error
-
-
-def ancestry(path: Path) -> Iterator[Path]:
-    """The file of an experiment, and those that it starts from, one after the other."""
-    while True:
-        yield path
-        name = read_toml(path).get("experiment")
-        if name is None:
-            return
-        path = beside(path, name)
+    found = placed(error, *users_own(path if variant is None else find_variant(path, variant)))
+    return found if found.line else error

@@ -305,7 +305,7 @@ def nested(given: Iterable[tuple[str, Any]]) -> dict[str, Any]:
 
 def parts_of(error: InputError | msgspec.ValidationError, table: dict[str, Any]) -> tuple[str, str, str, str]:
     """What, why, fix and key of an error about an experiment."""
-    ours = error if isinstance(error, InputError) else config_error(error, None, table)
+    ours = error if isinstance(error, InputError) else config_error(error, table)
     return ours.what, ours.why, ours.fix, ours.key or ""
 
 

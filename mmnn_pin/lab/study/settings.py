@@ -13,13 +13,13 @@ from typing import Any, Literal, TypeVar
 import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName, keyed
-from ...files import read_text, read_toml
+from ...files import read_toml
 from ...settings import Settings
 from ...settings.arguments import unknown_key, wrong_type
 from ..experiments.config import bundled, load_experiment, override, words_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.experiment import Experiment
-from ..experiments.origins import line_of
+from ..experiments.origins import placed
 from .factors import Factor
 
 MOST = 10_000_000  # runs of one study
@@ -245,13 +245,6 @@ def part(table: dict[str, Any], kind: type[S]) -> S:
 def joined(*parts: str) -> str:
     """Key path of parts, some of them empty."""
     return ".".join(part for part in parts if part)
-
-
-def placed(error: InputError, path: Path) -> InputError:
-    """The error with the study's file, and the line of its key there."""
-    if error.file is not None:
-        return error
-    return error.but(file=path, line=line_of(read_text(path), error.key) if error.key else None)
 
 
 @contextmanager

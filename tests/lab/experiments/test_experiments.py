@@ -136,7 +136,12 @@ def test_errors_name_file_and_key_path(setting: str, key: str, tmp_path: Path) -
     with pytest.raises(ConfigError) as error:
         load_experiment(file)
     assert error.value.key == key and error.value.file == file
-    assert str(error.value).startswith(f"{file}:{key}: error: ")
+    assert str(error.value).startswith(f"{file}:2:{key}: error: ")
+    other = tmp_path / "other.toml"
+    other.write_text('title = "starts from a file that is wrong"\nexperiment = "mine.toml"\n')
+    with pytest.raises(ConfigError) as error:
+        load_experiment(other)
+    assert str(error.value).startswith(f"{file}:2:{key}: error: ")
 
 
 @pytest.mark.parametrize(

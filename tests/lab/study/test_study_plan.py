@@ -17,7 +17,7 @@ from study_files import SHORT, planned, written
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.lab.experiments.config import load_experiment
-from mmnn_pin.lab.experiments.origins import line_of
+from mmnn_pin.lab.experiments.origins import nearest_line
 from mmnn_pin.lab.study.factors import Factor, unit_cube
 from mmnn_pin.lab.study.keys import leaves, near
 
@@ -172,9 +172,11 @@ def test_a_file_that_is_not_there_is_told(tmp_path: Path, capsys) -> None:
 
 def test_lines_are_found_in_every_way_of_writing_keys() -> None:
     text = 'a = 1\n[b."c.d"]\n# e = 3\ne.f = 4\n  [ g . "h" ]\n"i j" = [\n  1,\n]\n'
-    assert [line_of(text, key) for key in ("a", "b.c.d.e.f", "b.c.d.e.f.0", "b.c.d.x", "g.h.i j", "g", "z")] == [
-        *(1, 4, 4, 2, 6, 5, None)
-    ]
+    keys = ("a", "b.c.d.e.f", "b.c.d.e.f.0", "b.c.d.x", "g.h.i j", "g", "z")
+    assert [nearest_line(text, key)[1] for key in keys] == [1, 4, 4, 2, 6, 5, None]
+    lists = "[[p]]\nx = 1\n[p.q]\nx = 1\n[[p]]\nx = 1\n[p.q]\nx = 1\n[q]\n"
+    keys = ("p.0.x", "p.0.q.x", "p.1", "p.1.x", "p.1.q.x", "p.2.x", "p", "q")
+    assert [nearest_line(lists, key)[1] for key in keys] == [2, 4, 5, 6, 8, None, 1, 9]
 
 
 @pytest.mark.parametrize(
