@@ -98,21 +98,27 @@ def rank(own: Mapping[str, float]) -> float:
 
 
 def chattering(shares: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """The motor that is shaken most in every run that shakes one.
+    """A sentence for every motor that runs shake: of each run that shakes some, the one that it shakes most.
 
     Args:
         shares: Run to motor to what `chatter` says.
     """
-    found = []
+    shaken: dict[str, dict[str, float]] = {}  # motor to run to how many times as much as the others
     for name, own in shares.items():
         motor = max(own, key=own.__getitem__)
         usual = of_others(shares, name, motor)
         if own[motor] > max(CHATTER, FAR * usual):
-            times = shown(own[motor] / max(usual, 1e-12))
-            found.append(
-                f"{name} shakes {motor}: {100 * own[motor]:.0f} % of the RMS of its torque is faster than {FAST:g} Hz, "
-                f"{times} times as much as the others'"
-            )
+            shaken.setdefault(motor, {})[name] = own[motor] / max(usual, 1e-12)
+    found = []
+    for motor, times in shaken.items():
+        names, several = ", ".join(times), len(times) > 1
+        who = f"{len(times)} runs shake {motor} ({names})" if several else f"{names} shakes {motor}"
+        parts = sorted(shares[name][motor] for name in times)
+        ends = " to ".join(dict.fromkeys(f"{100 * part:.0f}" for part in (parts[0], parts[-1])))
+        most = f"{'up to ' * several}{shown(max(times.values()))} times"
+        found.append(
+            f"{who}: {ends} % of the RMS of its torque is faster than {FAST:g} Hz, {most} as much as the others'"
+        )
     return found
 
 

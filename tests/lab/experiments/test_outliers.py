@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import load, load_experiment, run_experiment
-from mmnn_pin.lab.experiments.outliers import FAR, THROWN, chatter, far_peaks, fast_share, outliers
+from mmnn_pin.lab.experiments.outliers import FAR, THROWN, chatter, chattering, far_peaks, fast_share, outliers
 from mmnn_pin.lab.experiments.runner import sensor_notes
 from mmnn_pin.lab.show.comparison import notes
 from mmnn_pin.lab.show.report import result_of
@@ -81,6 +81,16 @@ def test_a_run_that_shakes_a_motor_is_told_in_notes_report_and_json(result) -> N
 def test_noise_of_encoders_alone_leaves_velocities_exact_and_it_is_said(sensor: Sensor, told: str) -> None:
     found = sensor_notes(sensor, load("platform_arm"))
     assert len(found) == (told != "") and all(note.startswith(told) for note in found)
+
+
+def test_runs_that_shake_one_motor_are_told_in_one_sentence_with_their_count() -> None:
+    calm = {name: {"a": 0.01, "b": 0.02} for name in ("pd", "pid", "feedforward", "two_layer")}
+    shaken = {"drem": {"a": 0.5, "b": 0.2}, "kalman": {"a": 0.3, "b": 0.0}, "learned": {"a": 0.0, "b": 0.4}}
+    one, other = chattering(calm | shaken)
+    assert one.startswith("2 runs shake a (drem, kalman): 30 to 50 % of the RMS of its torque is faster than 10 Hz, ")
+    assert one.endswith("up to 50 times as much as the others'") and other.startswith(
+        "learned shakes b: 40 % of the RMS"
+    )
 
 
 def test_the_note_is_one_of_the_run() -> None:
