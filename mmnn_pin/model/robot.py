@@ -303,6 +303,7 @@ def speed_limits(robot: Robot) -> Array:
 
 
 QUICK, GEARED = 1e-3, 1e-2  # [s] from rest to top speed at the effort limit: too quick for a gear, and with one
+STRONGEST = 100.0  # [N m/kg] all torques of an arm over its mass; servos that weigh nothing but themselves give 50
 
 
 def lacking_rotors(robot: Robot) -> tuple[str, str]:
@@ -310,7 +311,7 @@ def lacking_rotors(robot: Robot) -> tuple[str, str]:
 
     URDF has no rotors, and a light link alone would be at its joint's top speed within microseconds. One lacks a rotor
     that would be there within `QUICK`; one with the rotor that is printed takes `GEARED`. Joints whose limits of speed
-    or effort are not stated lack none.
+    or effort are not stated lack none. No option where the limits of effort are placeholders (`no_motors`).
     """
     names, base, arm = robot.actuator_names, robot.dimensions.base, robot.arm_index
     inertia = 1.0 / np.diag(inverse(Dynamics(robot).mass_matrix(robot.neutral_position())))[base:]
@@ -326,8 +327,26 @@ def lacking_rotors(robot: Robot) -> tuple[str, str]:
     size = size.format(inertia[worst], efforts[worst])
     what = f"no rotors: by its link alone '{robot.joint_names[worst]}' ({size}) is at its top speed within "
     what += f"{1e6 * time[worst]:.3g} us" + (f", {others} more within 1 ms" if others else "")
+    if told := no_motors(robot, efforts):
+        return f"{what}; {told}", ""
     rotors = np.where(few, GEARED * one, robot.model.armature[arm])
     return what, f"--set 'armature=[{', '.join(f'{rotor:.3g}' for rotor in rotors)}]'"
+
+
+def no_motors(robot: Robot, efforts: Array) -> str:
+    """That no motors give the torques that an arm's limits state, in words; empty where some may.
+
+    Args:
+        robot: The robot.
+        efforts: Limits of its arm's joints [N m or N], inf where none is stated, (n,).
+    """
+    model = robot.model
+    torque = float(efforts[np.isfinite(efforts) & revolute(robot)[robot.arm_index]].sum())
+    carried = {body for name in robot.joint_names for body in model.subtrees[model.getJointId(name)]}
+    mass = float(sum(model.inertias[body].mass for body in carried))
+    if torque <= STRONGEST * mass:
+        return ""
+    return f"its effort limits are placeholders: no motors of an arm of {mass:.3g} kg give {torque:.4g} N m together"
 
 
 def limits(value: Literal["urdf", "none"] | Numbers | None, urdf: Array, kind: str, key: str) -> Array:

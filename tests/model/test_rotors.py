@@ -8,7 +8,7 @@ import pytest
 from closed_form import inertial, joint
 
 from mmnn_pin import load, load_experiment
-from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.experiments.runner import rotor_notes, run_experiment
 from mmnn_pin.model.robot import lacking_rotors
 
 
@@ -32,6 +32,25 @@ def test_a_light_joint_without_a_rotor_is_told_with_one_that_mends_it(speed, lac
         assert robot.model.armature[-1] == pytest.approx(0.01 * 3 / speed) and lacking_rotors(robot) == ("", "")
         told = [[note for note in run_experiment(one, "track").notes if "rotors" in note] for one in (before, mended)]
         assert [len(notes) for notes in told] == [1, 0] and said in told[0][0]
+
+
+@pytest.mark.parametrize(("effort", "way"), [(50, True), (1000, False)])
+def test_no_rotor_is_made_of_limits_that_no_motor_gives(effort, way, tmp_path):
+    """Three joints of 1 kg each: 50 N m per kg are what the densest servos give, 1000 what files have by habit."""
+    links = "".join(f'<link name="l{i}">{inertial(1.0, (1e-4,) * 3)}</link>' for i in range(3))
+    limit = f'<limit lower="-1" upper="1" effort="{effort}" velocity="10"/>'
+    parents = ("base", "l0", "l1")
+    joints = "".join(joint(f"j{i}", parents[i], f"l{i}", "", "0 0 1", limit, "revolute") for i in range(3))
+    file = tmp_path / "strong.urdf"
+    file.write_text(f'<robot name="strong"><link name="base"/>{links}{joints}</robot>')
+    robot = load(file)
+    (found,) = [finding for finding in robot.findings if finding.code == "no-rotor"]
+    placeholders = "its effort limits are placeholders: no motors of an arm of 3 kg give 3000 N m together"
+    assert ("--set 'armature=[" in found.fix) == way and (placeholders in str(found)) != way
+    (told,) = rotor_notes(robot)
+    assert ("--set 'armature=[" in told) == way and ("state the effort limits of its motors" in told) != way
+    stated = robot.with_limits([3.0] * 3, 0.0)
+    assert "--set 'armature=[0.003" in lacking_rotors(stated)[1]
 
 
 def test_gains_are_those_of_link_and_rotor(tmp_path):

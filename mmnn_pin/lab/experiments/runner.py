@@ -200,7 +200,8 @@ def weak_notes(robot: Robot) -> list[str]:
 def rotor_notes(robot: Robot) -> list[str]:
     """A note of joints that lack a rotor."""
     lacking, way = lacking_rotors(robot)
-    return [f"{lacking}: its gains are hardly a real motor's; try {way}"] if lacking else []
+    then = f"try {way}" if way else "state the effort limits of its motors"
+    return [f"{lacking}: its gains are hardly a real motor's; {then}"] if lacking else []
 
 
 def limit_notes(robot: Robot, runs: Mapping[str, Recording]) -> list[str]:

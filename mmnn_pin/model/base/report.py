@@ -256,9 +256,9 @@ def friction_notes(rest: AtRest, damping: Array, coulomb: Array) -> list[Finding
 
 
 def rotor_notes(rest: AtRest, lacking: str, way: str) -> list[Finding]:
-    """A note of joints that lack a rotor; the way is an option that gives them some."""
+    """A note of joints that lack a rotor; the way is an option that gives them some, empty where nothing tells it."""
     why = "gains are bandwidths times inertias, and a rotor behind its gear mostly outweighs a light link"
-    fix = f"find them with mmnn identify, or try some: {way}"
+    fix = f"find them with mmnn identify, or {f'try some: {way}' if way else 'state the effort limits of the motors'}"
     return [note(rest, "no-rotor", "", lacking, why, fix, about="")] if lacking else []
 
 
