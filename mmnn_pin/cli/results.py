@@ -87,7 +87,7 @@ class FigureName(click.Choice[str]):
     "whats",
     type=FigureName(),
     multiple=True,
-    help="What to draw; repeatable; study-... of the folder of a study.  [default: errors; of a folder all]",
+    help="What to draw; study-... is for the folder of a study. Repeatable.  [default: errors; of a folder all]",
 )
 @click.option("--out", type=PATH, help="A .png, .svg or .pdf file, or a folder.  [default: .]")
 @FORCE
@@ -184,9 +184,9 @@ def pictures(out: Path, whats: tuple[str, ...]) -> dict[str, Path]:
 def judge(run: Path, payload: float | None, windows: int, plots: Path | None, force: bool, as_json: bool) -> int:
     """Judge one recording: whether it learned Psi, or only followed it.
 
-    Psi: the fraction of its variance that the estimate leaves unexplained (FVU), online and with final weights held,
-    on the run's own trajectory, on another one and with a payload (mmnn docs explanation/proof). What it was excited
-    with, and what the run leaves undetermined.
+    It prints the fraction of Psi's variance that the estimate leaves unexplained (FVU), online and with final weights
+    held, on the run's own trajectory, on another one and with a payload (mmnn docs explanation/proof); by what it was
+    excited, and what the run leaves undetermined.
     """
     from ..lab.psi.judgement import judge as judgement
     from ..lab.show.psi import render
@@ -231,7 +231,7 @@ def to_judge(run: Path) -> Recording:
 @click.option("--html", type=PATH, help="Write the page to this file and open nothing; missing folders are made.")
 @FORCE
 @click.option("--fps", type=RangedNumber(0.1, 1000), default=60, help="Frames kept per second.")
-@click.option("--live", is_flag=True, help="One run in meshcat itself, with sliders for its joints.")
+@click.option("--live", is_flag=True, help="Play one run in meshcat itself, with sliders for its joints.")
 @PORT
 @NO_BROWSER
 @PACKAGE_DIRS
@@ -254,6 +254,7 @@ def replay(
     """
     parent = os.getppid()  # before anything slow: a parent that dies meanwhile counts, too
     from ..lab.show.replay import page, wait_until_left
+    from ..lab.show.report import best_of
 
     if html is not None:
         require_free(html, force)
@@ -275,7 +276,8 @@ def replay(
             open_page(shown.url, no_browser)
             wait_until_left(parent)
         return DONE
-    made = page(recordings, fps=fps, package_dirs=package_dirs)
+    best = best_of(recordings) if len(recordings) > 1 else ""
+    made = page(recordings, fps=fps, package_dirs=package_dirs, best=best)
     for warning in made.warnings:
         warn(warning)
     about = {"runs": [str(r.path) for r in recordings.values()], "bytes": made.size, "frames": made.frames}
@@ -356,7 +358,12 @@ def report(
 @click.option("--to", type=click.Choice(TO), required=True, help="The format.")
 @click.option("--out", type=PATH, help="A file, or a folder.  [default: beside the recording]")
 @click.option("--signals", metavar="NAME,...", help="Signals of a table beside the time.  [default: all]")
-@click.option("--rate", type=float, metavar="HZ", help="Rows per second at most, samples of the run.  [default: all]")
+@click.option(
+    "--rate",
+    type=float,
+    metavar="HZ",
+    help="At most so many rows per second, each a sample of the run.  [default: all]",
+)
 @FORCE
 @shared
 def export(

@@ -27,7 +27,7 @@ from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show.figure import STYLES, in_the_dark
 from mmnn_pin.lab.show.files import HtmlPage
-from mmnn_pin.lab.show.report import MOST, command_of, kept_rows, report, result_of, subject
+from mmnn_pin.lab.show.report import MOST, best_of, command_of, kept_rows, report, result_of, subject
 from mmnn_pin.lab.show.report.verdict import beside_the_truth, smaller, verdict
 from mmnn_pin.lab.show.robots import robots_of
 from mmnn_pin.model.loading import build
@@ -176,6 +176,7 @@ def test_the_verdict_follows_from_the_numbers(chapter4: dict[str, Recording]) ->
     best, second = sorted((name for name in chapter4 if name != "computed_torque"), key=size)[:2]
     found = verdict(result)
     assert found.headline.startswith(f"{best} tracks best of 5: ")
+    assert best_of(chapter4) == best and best_of({}) == ""
     assert f"{100 * (1 - size(best) / size(second)):.0f} % smaller than those of {second}" in found.headline
     assert "the best of" not in found.headline
     assert "pd_gravity, pid and feedforward did not run" in " ".join(found.warnings)

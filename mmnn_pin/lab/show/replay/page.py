@@ -38,11 +38,6 @@ LOOK = 0.5  # how often it is looked whether the parent lives [s]
 SCRIPTS = ("unpack.js", "geometry.js", "robot.js", "stage.js", "run.js", "player.js", "main.js")
 
 
-def rank(controller: str) -> int:
-    """Place of a controller among those that one wants to see: the user's own, learners, plain ones, the oracle."""
-    return [*CONTROLLERS].index(controller) if controller in CONTROLLERS else -1
-
-
 class Scene:
     """Robots and runs as the page reads them.
 
@@ -81,7 +76,7 @@ class Scene:
         bodies = {body.joint.name: i for i, body in enumerate(tree.bodies) if body.joint}
         events = [event.for_page(bodies) for event in events_of(recording)]
         about = {"name": name, "label": run_label(name, recording), "robot": index, "events": events}
-        about |= {"color": color, "dark": in_the_dark(color), "rank": rank(str(recording.meta.get("controller")))}
+        about |= {"color": color, "dark": in_the_dark(color)}
         self._runs.append(about | packed(recording, robot, rows, self.blob))
         self.frames += len(rows)
         self.samples += len(recording)
@@ -91,9 +86,9 @@ class Scene:
         """Differences between the page and the URDF, one line each."""
         return self._shapes.warnings
 
-    def header(self, extent: list[float]) -> dict[str, Any]:
-        """All but the arrays, as the page reads it; `extent` as from `extent_of`."""
-        scene = {"geometries": self._shapes.geometries, "robots": self._for_page, "runs": self._runs}
+    def header(self, extent: list[float], first: int = 0) -> dict[str, Any]:
+        """All but the arrays, as the page reads it; `extent` as from `extent_of`, `first` the run to show alone."""
+        scene = {"geometries": self._shapes.geometries, "robots": self._for_page, "runs": self._runs, "first": first}
         return scene | {"extent": extent, "warnings": list(self.warnings)}
 
     def stand(self, robot: Robot, position: Array) -> None:
@@ -101,7 +96,7 @@ class Scene:
         index, _ = self._robot(robot)
         still = {name: self.blob.add(position[None], "f4") for name in ("position", "reference")}
         about = {"name": robot.name, "label": robot.name, "robot": index, "events": []}
-        about |= {"color": "#000000", "dark": in_the_dark("#000000"), "rank": 0}
+        about |= {"color": "#000000", "dark": in_the_dark("#000000")}
         time = self.blob.add(np.zeros(1), "f4")
         self._runs.append(about | {"frames": 1, "width": position.size, "time": time} | still)
         self.frames += 1
@@ -166,7 +161,12 @@ class ReplayPage(HtmlPage):
 
 
 def page(
-    recordings: Mapping[str, Recording], *, title: str = "", fps: float = FPS, package_dirs: Sequence[str | Path] = ()
+    recordings: Mapping[str, Recording],
+    *,
+    title: str = "",
+    fps: float = FPS,
+    package_dirs: Sequence[str | Path] = (),
+    best: str = "",
 ) -> ReplayPage:
     """The replay of one run, or of several in one scene.
 
@@ -175,6 +175,7 @@ def page(
         title: Heading of the page; by default the robots and the experiment.
         fps: Frames per second that are kept; the page interpolates between them.
         package_dirs: Folders to look for meshes in before those that the recordings know.
+        best: Of many runs the one that is shown alone at first, unless one is of a controller of the user's own.
 
     Raises:
         RecordingError: No run, one without anything to show, or one that does not hold its robot.
@@ -185,7 +186,9 @@ def page(
     scene, styles = Scene(package_dirs), styles_of(recordings)
     for name, recording in recordings.items():
         scene.add(name, recording, styles[name].color, fps)
-    text = rendered(scene, title or title_of(recordings), extent_of(recordings))
+    own = [name for name, recording in recordings.items() if recording.meta.get("controller") not in CONTROLLERS]
+    first = next(name for name in (*own, best, *recordings) if name in recordings)
+    text = rendered(scene, title or title_of(recordings), extent_of(recordings), [*recordings].index(first))
     warnings = scene.warnings
     if len(text) > LARGE:
         fix = "show fewer runs, keep fewer frames per second (--fps), or use simpler meshes"
@@ -198,10 +201,10 @@ def live_page(robot: Robot, position: Array, package_dirs: Sequence[str | Path] 
     scene = Scene(package_dirs)
     scene.stand(robot, position)
     x, y = position[:2].tolist() if robot.dimensions.pose else (0.0, 0.0)
-    return rendered(scene, f"{robot.name}, live", [x - 1, y - 1, x + 1, y + 1], ("live.js",)).encode()
+    return rendered(scene, f"{robot.name}, live", [x - 1, y - 1, x + 1, y + 1], more=("live.js",)).encode()
 
 
-def rendered(scene: Scene, title: str, extent: list[float], more: Sequence[str] = ()) -> str:
+def rendered(scene: Scene, title: str, extent: list[float], first: int = 0, more: Sequence[str] = ()) -> str:
     """The HTML of a scene; with more scripts it may ask the server that it came from."""
     return fill_template(
         "page.html",
@@ -211,7 +214,7 @@ def rendered(scene: Scene, title: str, extent: list[float], more: Sequence[str] 
         style=web_file("page.css", __package__),
         connect="; connect-src 'self'" if more else "",
         viewer=viewer(),
-        data=scene.blob.pack(scene.header(extent)),
+        data=scene.blob.pack(scene.header(extent, first)),
     )
 
 

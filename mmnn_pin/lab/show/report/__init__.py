@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -38,7 +39,7 @@ from ..files import Blob, HtmlPage, fill_template, web_file
 from ..psi_figures import sliced
 from ..replay.page import title_of
 from ..robots import CHECK_SAMPLES, CHECK_SEED, robots_of
-from .verdict import learned, verdict
+from .verdict import learned, ranking, verdict
 
 T = TypeVar("T")
 FPS = 30.0  # of the replay within
@@ -74,7 +75,7 @@ def report(
     made: replay.ReplayPage | None = None
     without_replay: list[str] = []
     if with_replay:
-        make = partial(replay.page, result.recordings, fps=FPS, package_dirs=package_dirs)
+        make = partial(replay.page, result.recordings, fps=FPS, package_dirs=package_dirs, best=best_in(result))
         made, without_replay = shown_or_why("replay", make)
     warnings = (*charts.skipped, *without_robots, *without_replay, *(made.warnings if made else ()))
     config = next(iter(result.recordings.values())).config_text
@@ -155,6 +156,18 @@ def result_of(recordings: Mapping[str, Recording]) -> Result:
     experiment = experiment_of(max(runs.values(), key=len))
     numbers = {name: metrics(recording, experiment.windows) for name, recording in runs.items()}
     return Result(experiment, str(first.meta.get("experiment", "")), runs, numbers, ())
+
+
+def best_of(recordings: Mapping[str, Recording]) -> str:
+    """Name of the run that tracks best; empty where runs cannot be compared, or none may win."""
+    with suppress(InputError):
+        return best_in(result_of(recordings))
+    return ""
+
+
+def best_in(result: Result) -> str:
+    """Likewise, of a result."""
+    return next(iter(ranking(result)[1]), "")
 
 
 def experiment_of(recording: Recording) -> Experiment:

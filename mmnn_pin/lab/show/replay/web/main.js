@@ -56,8 +56,8 @@ function sameReference(a, b) {
   return [0, last >> 2, last >> 1, last].every(equal);
 }
 
-function addLegend(runs, switches) {
-  const legend = document.getElementById("legend"), first = runs.reduce((a, b) => (b.run.rank < a.run.rank ? b : a));
+function addLegend(runs, first, switches) {
+  const legend = document.getElementById("legend");
   for (const run of runs) {
     const item = element("li"), line = element("span", "line");
     line.style.background = run.color;
@@ -77,7 +77,7 @@ function addLegend(runs, switches) {
   }
 }
 
-const FEW = 3; // runs that are put side by side from the start; of more one alone is shown, a learner where there is one
+const FEW = 3; // runs that are put side by side from the start; of more one alone is shown, `data.first`
 
 const LAYERS = { reference: ["reference"], paths: ["paths", "wanted"], "tip trace": ["traces"], "hand frame": ["frames"] };
 
@@ -167,7 +167,7 @@ async function main() {
   }
   const duration = Math.max(...runs.map((run) => run.duration));
   const switches = new Switches(stage, runs);
-  addLegend(runs, switches);
+  addLegend(runs, runs[data.first], switches);
   addMarks(runs, duration);
   addWarnings(data.warnings);
   const leader = runs.find((run) => run.robot.mobile) ?? runs[0];
