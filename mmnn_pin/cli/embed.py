@@ -38,9 +38,11 @@ if TYPE_CHECKING:
 )
 @click.option("--out", type=PATH, required=True, help="Folder for the files.")
 @click.option("--force", is_flag=True, help="Write into a folder that exists.")
-@click.option("--single", is_flag=True, help="Numbers of 32 bits: not the bits of Python; the self-test says how far.")
+@click.option(
+    "--single", is_flag=True, help="Compute in 32 bits; the self-test says by how much results differ from Python's."
+)
 @click.option("--no-diagnostics", is_flag=True, help="Leave out what only reports how well the motion excites.")
-@click.option("--steps", type=click.IntRange(1, 100_000), default=1000, help="Of the self-test.")
+@click.option("--steps", type=click.IntRange(1, 100_000), default=1000, help="Steps of the self-test.")
 @click.option(
     "--limits",
     metavar="KEY=VALUE",
@@ -55,12 +57,13 @@ if TYPE_CHECKING:
 @click.option(
     "--processor",
     metavar="NAME",
-    help="A Cortex-M7, such as stm32h743: refuse what its period is too short for, by instructions counted in QEMU.",
+    help="A Cortex-M7, such as stm32h743: refuse a controller that takes longer than its period there, by instructions"
+    " counted in QEMU.",
 )
 @click.option(
     "--plant",
     type=click.Choice(["host", "qemu"]),
-    help="Then close the loop: the C as a process here, or on an emulated Cortex-M7, and compare with Python's run.",
+    help="Close the loop, too: run the C as a process here, or on an emulated Cortex-M7, and compare with Python.",
 )
 @CHANGES
 @understanding

@@ -270,7 +270,7 @@ def carried(
     help="An upright cylinder on the floor, in m from where the base starts, x ahead, y to the left. Repeatable.",
 )  # fmt: skip
 @click.option("--seconds", type=float, default=20.0, metavar="S", help="Time to look for it.")
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, help="Of the search.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, help="Seed of the search.")
 @FORCE
 @understanding
 @shared

@@ -175,7 +175,9 @@ def paths(incomplete: str) -> list[str]:
 
 
 FORCE = click.option("--force", is_flag=True, help="Replace existing files.")
-PORT = click.option("--port", type=click.IntRange(0, 65535), default=7007, help="Or the next that is free.")
+PORT = click.option(
+    "--port", type=click.IntRange(0, 65535), default=7007, help="Port of the page, or the next that is free."
+)
 NO_BROWSER = click.option("--no-browser", is_flag=True, help="Only print the address.")
 VARIANT = click.option(
     "--variant",
@@ -195,7 +197,7 @@ HARDWARE = click.option(
     "--hardware",
     metavar="NAME",
     shell_complete=hardware_names,
-    help="What its motors are: a profile (see `mmnn list`), or a TOML file.  [default: ROBOT.hardware.toml beside it]",
+    help="Its hardware: a profile (see `mmnn list`), or a TOML file.  [default: ROBOT.hardware.toml beside the URDF]",
 )
 PACKAGE_DIRS = click.option(
     "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."
@@ -253,8 +255,15 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
         help="Distance of left and right wheels; of a skid-steer base the effective one.",
     ),
     click.option("--roller", type=float, metavar="RAD", help="Angle of a holonomic base's rollers: 0 for omni wheels."),
-    click.option("--lock", metavar="JOINT[=AT]", multiple=True, help="A joint that stands still; repeatable."),
-    click.option("--free", metavar="JOINT", multiple=True, help="A head or jaw that moves, or 'all'; repeatable."),
+    click.option(
+        "--lock", metavar="JOINT[=AT]", multiple=True, help="A joint to keep still, at rest or at AT; repeatable."
+    ),
+    click.option(
+        "--free",
+        metavar="JOINT",
+        multiple=True,
+        help="A joint to free that is locked by default, or 'all'; repeatable.",
+    ),
     click.option("--arm", metavar="SIDE", help="Of two arms the one that moves: left, right or both."),
     click.option("--arm-tip", metavar="LINK", help="End of the arm; joints that do not lead to it are locked."),
     PACKAGE_DIRS,
@@ -264,7 +273,7 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
         "--controllers",
         "controllers_file",
         metavar="FILE",
-        help="YAML file of its controllers: evidence, radius and track, multipliers.",
+        help="YAML file of its ros2_control controllers: it tells the kind of base, radius and track.",
     ),
     click.option(
         "--mu", type=float, metavar="MU", help="Friction under the wheels of a skid-steer base.  [default: 1]"
@@ -273,7 +282,7 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option("--hitch", metavar="JOINT,...", help="Joints on which trailers follow, separated by commas."),
     click.option("--wheelbase", type=float, metavar="M", help="Distance of the wheels that steer from the fixed axle."),
     click.option("--forward", metavar="AXIS", help="Where it drives forward, by the root link: x, -x, y or -y."),
-    click.option("--steering-limit", type=float, metavar="RAD", help="Largest angle of what steers, to either side."),
+    click.option("--steering-limit", type=float, metavar="RAD", help="Largest steering angle, to either side."),
     click.option("--strict", is_flag=True, help="Refuse impossible inertias and implausible sizes."),
 )
 

@@ -84,7 +84,7 @@ def ros2(
     FollowJointTrajectory that MoveIt sends), and publishes commands to the robot's ros2_control controllers, and
     diagnostics. A supervisor stands between controller and robot: it trips when measurements stay away for too long, or
     when an error or a speed passes its limit; then the base brakes, the arm holds, until ~/reset is called. Ctrl-C
-    stops it likewise, and ends. Messages are checked: publishers, order, age, NaN, joint names.
+    stops the robot likewise, and ends the node. Messages are checked: publishers, order, age, NaN, joint names.
 
     It is a lifecycle node of rclpy: what follows --ros-args is ROS 2's (parameters, remapping, namespace, logging). It
     is recorded as a run: mmnn plot, report and replay show it. Exit codes: 0 done, 1 tripped, 2 bad input or no robot

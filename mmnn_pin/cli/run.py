@@ -95,7 +95,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 @click.option(
     "--out",
     type=PATH,
-    help="Folder for the files; where it has such files, a numbered one.  [default: runs/EXPERIMENT[-VARIANT]]",
+    help="Folder for the files, with a number added if it has such files.  [default: runs/EXPERIMENT[-VARIANT]]",
 )
 @click.option("--force", is_flag=True, help="Replace what is already in that folder.")
 @click.option("--details", is_flag=True, help="Print every error, peak, torque and gain, not only what matters most.")
@@ -117,7 +117,7 @@ def run(
     overrides: dict[str, Any],
     as_json: bool,
 ) -> int:
-    """Run EXPERIMENT with all its controllers from equal starts and compare them.
+    """Run EXPERIMENT with each of its controllers from the same start, and compare their errors.
 
     EXPERIMENT is a bundled name (see `mmnn list`) or the path of a TOML file. Writes one HDF5 recording per controller
     and the pictures that the experiment asks for. Ctrl-C ends the run and keeps what is recorded (exit code 130).

@@ -37,9 +37,7 @@ STOPPED_TEXT = "stopped by Ctrl-C; the same command goes on with what is missing
 )
 @makes_runs
 @click.option("--row", type=int, metavar="N", help="Run row N alone, record all its signals, compare its numbers.")
-@click.option(
-    "--force", is_flag=True, help="Settings may have changed: keep the rows that are the same, drop the rest."
-)
+@click.option("--force", is_flag=True, help="Keep the rows whose settings have not changed, and drop the rest.")
 @shared
 def study(
     file: Path,

@@ -42,7 +42,7 @@ def warm(
 ) -> int:
     """Compile ahead what EXPERIMENT runs.
 
-    Its first run begins at once then. Every controller is run for some samples; nothing is written but compiled code.
+    Its first run then begins at once. Every controller is run for some samples; nothing is written but compiled code.
     After Ctrl-C what is compiled by then is kept.
     """
     import msgspec
