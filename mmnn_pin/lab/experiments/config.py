@@ -138,8 +138,8 @@ def fitted_to(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str
     try:
         fitted = Fitted(hardware, robot)
     except InputError as error:
-        own = error.but(key=(error.key or "").removeprefix("hardware.") or None)
-        raise error if file is None else placed(own, file) from None
+        within = error.but(key=(error.key or "").removeprefix("hardware.") or None)
+        raise error if file is None else placed(within, file) from None
     said = merged({}, {key: value for key, value in own.items() if key != "hardware"})
     for text in texts:
         if text.partition("=")[0].partition(".")[0].strip() != "hardware":

@@ -112,7 +112,7 @@ BAD = [
     ("points = 4", "points = 0", "points", "sampling.points: error: no points, so no runs: masses.root is drawn"),
     ("points = 4", "points = = 4", "points", "error: not valid TOML"),
     ("points = 4", "points = 'x'", "points", "sampling.points: error: 'x' is a text: give a whole number"),
-    ("points = 4", "pionts = 4", "[sampling]", "sampling: error: unknown key 'pionts': did you mean 'points'?"),
+    ("points = 4", "pionts = 4", "pionts", "sampling: error: unknown key 'pionts': did you mean 'points'?"),
     ('method = "sobol"', 'method = "sobl"', "method", "sampling.method: error: Invalid enum value 'sobl'"),
     ('["pd", "two_layer", "computed_torque"]', "[]", "contr", "controllers: error: no controllers, so no runs"),
     ('["pd", ', '["pdd", ', "contr", "controllers: error: unknown controller 'pdd': did you mean 'pd'?"),
