@@ -164,15 +164,15 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
 @internal
 def compare_bits(measured: Array, dt: float, nb: int, n: int, door: Door) -> None:
     """For how long what tells of each velocity has repeated, to the last bit: the position and the velocity itself."""
-    message, masters = door.message, door.masters
+    message, stays = door.message, True
+    for k in range(3 if nb > 0 else 0):
+        stays = stays and measured[k] == message[k]
     for i in range(nb):
-        same, master = measured[3 + i] == message[3 + i], i - (nb - masters.size)
-        for k in range(3 if master < 0 else 0):
-            same = same and measured[k] == message[k]
-        if master >= 0:
-            place = place_of(n + masters[master], measured, door)
-            same = same and measured[place] == message[place]
-        stay(i, same, dt, door.sense)
+        same = stays
+        if door.masters.size and i >= nb - door.masters.size:
+            place = place_of(n + door.masters[i - (nb - door.masters.size)], measured, door)
+            same = measured[place] == message[place]
+        stay(i, same and measured[3 + i] == message[3 + i], dt, door.sense)
     for i in range(n):
         q = place_of(i, measured, door)
         stay(nb + i, measured[q] == message[q] and measured[q + n] == message[q + n], dt, door.sense)
