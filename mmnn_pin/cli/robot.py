@@ -34,7 +34,7 @@ def check(
 ) -> int:
     """Check that ROBOT's model has the properties that the controllers' proofs assume.
 
-    Checked are the mass matrix, properties 1 to 5 of the thesis, A S = 0, passivity, the bounds of M and C, and whether
+    Checked are the mass matrix, properties 1 to 5 of the thesis, A T = 0, passivity, the bounds of M and C, and whether
     the base is nonholonomic (mmnn docs reference/checks).
 
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. Every property is a number

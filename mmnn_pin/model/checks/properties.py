@@ -85,7 +85,7 @@ PROPERTIES: dict[str, tuple[float, bool, str]] = {
     "skew_symmetry_base": (TOLERANCE, False, "property 5: Mbardot_v - 2 Cbar_v is skew"),
     "reduced_rate": (TOLERANCE, False, "Mbardot - 2 Cbar is skew along motions"),
     "reduced_rate_world": (TOLERANCE, False, "the same in world coordinates, Cbar with S' M Sdot"),
-    "constraint": (EXACT, False, "A S = 0: no motion that the wheels forbid"),
+    "constraint": (EXACT, False, "A T = 0: no motion that the wheels forbid"),
     "constraint_rank": (0.0, False, "rank A = nv - p: every motion that the wheels permit"),
     "full_rank": (EXACT, True, "least singular value of S > 0, S with columns of unit length"),
     "passive": (TOLERANCE, False, "energy gained = work of the torques - loss by friction >= 0"),

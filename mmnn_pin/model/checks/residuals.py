@@ -146,7 +146,7 @@ def nonlinearity(C: Callable[[Array], Array], v: Array, M: Array, speed: float) 
 
 
 def annihilation(A: Array, T: Array) -> float:
-    """Largest `|A T|`, each entry over the sum of the magnitudes that should cancel in it: `A S = 0` (2.17)."""
+    """Largest `|A T|`, each entry over the sum of the magnitudes that should cancel in it: thesis (2.17)."""
     return largest(A @ T / np.maximum(abs(A) @ abs(T), np.finfo(float).tiny)) if len(A) else 0.0
 
 
