@@ -24,12 +24,8 @@ from .supervisor import (
     LOWER,
     OFFSET,
     PLAUSIBLE,
-    RARE,
-    SAME,
-    SMOOTH,
     TURN,
     UPPER,
-    USUAL,
     WITHOUT,
     Door,
     Supervisor,
@@ -158,34 +154,6 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
             sense[OFFSET, j] -= jump
             measured[q] = message[q]
         sense[DRIFT, j] = keep * (sense[DRIFT, j] + unexplained(measured[q] - message[q], dt * before, dt * after))
-    compare_bits(measured, dt, nb, n, door)
-
-
-@internal
-def compare_bits(measured: Array, dt: float, nb: int, n: int, door: Door) -> None:
-    """For how long what tells of each velocity has repeated, to the last bit: the position and the velocity itself."""
-    message, stays = door.message, True
-    for k in range(3 if nb > 0 else 0):
-        stays = stays and measured[k] == message[k]
-    for i in range(nb):
-        same = stays
-        if door.masters.size and i >= nb - door.masters.size:
-            place = place_of(n + door.masters[i - (nb - door.masters.size)], measured, door)
-            same = measured[place] == message[place]
-        stay(i, same and measured[3 + i] == message[3 + i], dt, door.sense)
-    for i in range(n):
-        q = place_of(i, measured, door)
-        stay(nb + i, measured[q] == message[q] and measured[q + n] == message[q + n], dt, door.sense)
-
-
-@internal
-def stay(i: int, same: bool, dt: float, sense: Array) -> None:
-    """Count on while it is the same, else learn how long that usually is: more at once, less by and by."""
-    sense[SAME, i] += dt
-    if not same:
-        lasted = min(sense[SAME, i], RARE)
-        sense[USUAL, i] = max(lasted, sense[USUAL, i] + SMOOTH * (lasted - sense[USUAL, i]))
-        sense[SAME, i] = 0.0
 
 
 @internal

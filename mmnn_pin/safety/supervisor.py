@@ -21,7 +21,7 @@ PSI_APPLIED, ROBUST = INDEX["psi_applied"], INDEX["robust"]
 RUNNING, STEPPED_IN, STOPPING, RAMPING = 0.0, 1.0, 2.0, 3.0
 TURN, LOWER, UPPER, EXPLAINS, JUMP, IS_FREE = range(6)  # of a door's joints
 CONTRADICTION, MOST = range(2)  # of its rows
-DRIFT, LEAST, WITHOUT, OFFSET, SAME, USUAL = range(6)  # of its sense
+DRIFT, LEAST, WITHOUT, OFFSET = range(4)  # of its sense
 SLOWER, SLOW, POWER = range(3)  # of what shakes
 SILENT, REPEATED, RATE, BEND, BEFORE, KNOWN, TRUSTED = range(7)  # of a supervisor's sight
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
@@ -37,9 +37,6 @@ PLAUSIBLE = 2.0  # times its limit: a velocity beyond this brakes as this
 SMOOTH = 0.3  # share of the latest acceleration, and time between measurements, in their averages
 PUSHED = 2.0  # times the velocity of the last measurement or of the reference: what moves under repeated ones
 MISSED = 2.0  # times the usual time between measurements: no silence before
-CONTRADICTS = 0.025  # of what may be gone unseen: farther, a position that stays does not belong to its velocity
-HELD = 3.0  # times the usual time for which it stays: so does what was not lost on its way
-RARE = 0.25  # most that this is taken to be [s]
 FASTER, HALF = 1.25, 0.5  # times the least speed in a stop, times the limit: beyond both the stop drives it on
 
 
@@ -96,7 +93,7 @@ class SupervisorState(NamedTuple):
     in_a_row: Array  # how many periods in a row were too long
     news: Array  # how many measurements differed from the one before
     noted: Array  # `news` at the sample before
-    met: Array  # `heard` at the sample before
+    met: Array  # `good` at the sample before
     seen: Array  # when one came last [s]
     since: Array  # when one that differed came last [s]
     every: Array  # time from one to the next, on average [s]
@@ -118,9 +115,8 @@ class Door(NamedTuple):
     rows: Array
     message: Array  # the last good measurement: pose, velocity, q, qdot, shape
     state: SupervisorState  # single numbers, the supervisor's
-    # (6, p + pivots) by how much positions have lately changed more than the velocities say; least speeds since a stop
-    # began; 1 where a stop does without feedback; jumps that were taken out of the joints' positions; for how long
-    # position and velocity have repeated to the last bit, and how long they usually do
+    # (4, p + pivots) by how much positions have lately changed more than the velocities say; least speeds since a stop
+    # began; 1 where a stop does without feedback; jumps that were taken out of the joints' positions
     sense: Array
     sideways: bool  # whether the base velocity is `(vx, vy, w)`
     eta: Array  # (3,) `(vx, vy, w)` of a base that steers, at the last sample; (0,) of others
@@ -272,16 +268,14 @@ def look(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     In silence a velocity that is `nu` at the last measurement is at most `|nu| + int |a| + W |tau - tau_0| dt`: a is
     its acceleration at the last measurements, tau_0 the torque that was sent before, and W the largest |M^-1|; a servo
     reaches what it is asked for. While measurements repeat, to the last bit, a velocity that is measured or that the
-    reference has counts. A measurement is as old as its oldest part: where its time stays, it is none.
+    reference has counts.
     """
     state, sight, numbers = supervisor.state, supervisor.sight, supervisor.numbers
     h = numbers.h
     p, dt = sight.shape[1], max(time - state.sampled[0], 0.0)
     nb, since, waited = p - supervisor.place.size, time - state.since[0], time - state.seen[0]
     last_news = state.since[0]
-    is_first = state.noted[0] == 0.0
-    silent = not is_first and state.heard[0] == state.met[0]  # or a part is as old as before
-    is_news = not silent and state.news[0] != state.noted[0]
+    is_first, is_news, silent = state.noted[0] == 0.0, state.news[0] != state.noted[0], state.good[0] == state.met[0]
     if is_news:
         state.since[0] = time
     if not (is_first or silent):
@@ -310,21 +304,9 @@ def look(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
             coming += sight[SILENT, i] + h * (sight[RATE, i] + 0.5 * h * bend)
         if coming > supervisor.reach[i] and not is_news and since + h > MISSED * state.every[0] + EARLY:
             trip(time, BLIND, i, coming, supervisor.reach[i], state)
-        check_standing(time, i, abs(nu), supervisor)
-    state.met[0] = state.heard[0]
+    state.noted[0], state.met[0] = state.news[0], state.good[0]
     if not silent:
-        state.noted[0], state.seen[0] = state.news[0], time
-
-
-@internal
-def check_standing(time: float, i: int, speed: float, supervisor: Supervisor) -> None:
-    """Trip where a position stays the same, to the last bit, and its measured velocity does, too, which is not zero."""
-    sense, reach = supervisor.door.sense, supervisor.reach[i]
-    gone, lasts = supervisor.numbers.limited * speed * sense[SAME, i], sense[SAME, i] - EARLY
-    usual = sense[USUAL, i]
-    if (gone > reach and lasts > MISSED * usual) or (gone > CONTRADICTS * reach and lasts > HELD * usual):
-        sense[WITHOUT, i] = 1.0
-        trip(time, BLIND, i, gone, reach, supervisor.state)
+        state.seen[0] = time
 
 
 @compiled
