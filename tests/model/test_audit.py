@@ -334,10 +334,12 @@ def test_a_mesh_that_cannot_be_read(tmp_path):
 
 
 def test_meshes_of_one_missing_package_are_one_finding():
-    shapes = "".join(f'<visual><geometry><mesh filename="package://p/{i}.stl"/></geometry></visual>' for i in range(9))
+    shapes = "".join(
+        f'<visual><geometry><mesh filename="package://nowhere/{i}.stl"/></geometry></visual>' for i in range(9)
+    )
     found = of(GOOD.replace(*end(f'<link name="l">{shapes}</link>' + joint("w", "rod", "l", "fixed"))))
     assert [f.message for f in found if f.code == "mesh-missing"] == [
-        "package 'p' of 9 mesh file(s) is not found ('package://p/0.stl')"
+        "package 'nowhere' of 9 mesh file(s) is not found ('package://nowhere/0.stl')"
     ]
 
 
