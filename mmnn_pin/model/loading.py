@@ -164,12 +164,9 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
         RobotError: The base is undecided or of a kind not supported, or the dynamics are singular.
     """
     overrides = overrides or Overrides()
-    moving, empty = (
-        {j.name for j in document.joints.values() if j.moves},
-        {f.joint for f in document.findings if f.code == "zero-mass"},
-    )
-    if moving and moving <= empty:  # whatever it is
-        excused(document.findings, ())
+    moving = {j.name for j in document.joints.values() if j.moves}
+    if moving and moving <= {f.joint for f in document.findings if f.code == "zero-mass"}:
+        excused(document.findings, ())  # a file without masses is told as that, before its base is looked for
     roles = understand(document, overrides)
     document, base, arm = placed(roles.document, roles.arm.hands), roles.base, roles.arm
     model, printed = pinocchio_model(document, mobile=base.root_size > 0)
