@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -27,7 +27,7 @@ from ..shown import ShownView, shown
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
 from .robot_file import robot_of
-from .run_file import Arrays, Places, RunFile, SignalColumns
+from .run_file import Arrays, Places, RunFile, SignalColumns, decode, encode
 from .tracking import Errors, prismatic_joints
 
 if TYPE_CHECKING:
@@ -381,8 +381,16 @@ def recorded_robot(recording: Recording, package_dirs: Sequence[str | Path] = ()
             why = f"it moves by {', '.join(own)}, not by {', '.join(told)}"
             raise RecordingError("another robot comes out of the recording's facts", why=why, file=recording.path)
     with recording.using("what it tells of masses and friction"):
-        masses = robot.with_masses(meta["mass_factors"]).with_armature(meta.get("armature", 0.0))
-        return masses.with_friction(meta["viscous"]).changed(**friction_of(robot, meta["joint_friction"]))
+        changes = (meta["mass_factors"], meta.get("armature", 0.0), meta["viscous"], meta["joint_friction"])
+        return with_changes(robot, encode(changes))
+
+
+@lru_cache(maxsize=4)  # runs of one experiment share it, and what is made for it
+def with_changes(robot: Robot, changes: str) -> Robot:
+    """A robot with masses, rotors and friction of a recording, as `encode` has them."""
+    masses, armature, viscous, friction = decode(changes)
+    changed = robot.with_masses(masses).with_armature(armature).with_friction(viscous)
+    return changed.changed(**friction_of(robot, friction))
 
 
 def friction_of(robot: Robot, recorded: Mapping[str, Any]) -> dict[str, Any]:

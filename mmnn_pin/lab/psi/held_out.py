@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import msgspec
 import numpy as np
@@ -159,6 +160,7 @@ def arm_profiles(robot: Robot, q: Array, qdot: Array) -> tuple[tuple[Sine, ...],
     return profiles, max((profile.period for profile in profiles), default=0.0)
 
 
+@lru_cache(maxsize=1)  # the learners of one experiment share it
 def recorded_under_computed_torque(
     robot: Robot, wanted: HeldOut, feedback: Feedback, kinematic: Kinematic, timing: Timing
 ) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
 
@@ -33,6 +34,7 @@ FLAT = 1e-9  # spread of Psi, relative to its size, below which it has no varian
 PARTS = ("feedback", "network", "robust")
 WINDOWS = 5
 MOST = 20_000  # rows of a run along which frozen weights are evaluated, evenly spread
+FEW = 2_500  # of these, those at which Pinocchio tells the Psi of the robot with a payload
 ProgressCallback = Callable[[str, float], None]
 
 
@@ -67,7 +69,7 @@ class Psi:
         sizes: Part of the torque to its RMS over that of the torque, (p,) each.
         frozen: Final weights held fixed, by name: `same`, `held_out`, `payload`; empty for a controller that learns
             nothing.
-        networks: Its networks, or its regressor; empty likewise, and where it gives no features.
+        features: Makes `networks`.
         weights_time: When the weights were taken [s].
         remarks: What is left out, and why.
     """
@@ -81,9 +83,14 @@ class Psi:
     shares: dict[str, Array]
     sizes: dict[str, Array]
     frozen: dict[str, Frozen]
-    networks: list[Network]
+    features: Callable[[], list[Network]]
     weights_time: float
     remarks: tuple[str, ...]
+
+    @cached_property
+    def networks(self) -> list[Network]:
+        """The learner's networks, or its regressor; empty as `frozen` is, and where it gives no features."""
+        return self.features()
 
     def to_dict(self) -> dict[str, Any]:
         """FVU online and frozen per component with the worst of base and arm, shares of the torque, the networks."""
@@ -142,7 +149,7 @@ def psi_of(
         )
     counts = time >= START - 1e-9
     learner = subject.learner
-    frozen, networks, remarks = frozen_weights(subject, learner, payload, progress) if learner else ({}, [], [])
+    frozen, remarks = frozen_weights(subject, learner, payload, progress) if learner else ({}, [])
     return Psi(
         labels=subject.robot.velocity_names,
         halves=halves(subject.recording),
@@ -153,7 +160,7 @@ def psi_of(
         shares=shares(torque[counts], subject.applied[counts], robust[counts]),
         sizes=sizes(torque[counts], subject.applied[counts], robust[counts]),
         frozen=frozen,
-        networks=networks,
+        features=partial(features_of, learner, subject.rows[:: thinned(subject.rows, MOST)]) if learner else list,
         weights_time=learner.end_time if learner else float("nan"),
         remarks=(*remarks, *remarks_on_law(subject)),
     )
@@ -185,11 +192,11 @@ def how_to_know(subject: Subject) -> str:
 
 def frozen_weights(
     subject: Subject, learner: Learner, payload: float | None, progress: ProgressCallback | None
-) -> tuple[dict[str, Frozen], list[Network], list[str]]:
-    """Psi_hat of the final weights by the name of the motion; the networks; remarks on what is left out, and why."""
+) -> tuple[dict[str, Frozen], list[str]]:
+    """Psi_hat of the final weights by the name of the motion; remarks on what is left out, and why."""
     show = progress or (lambda what, fraction: None)
     robot, remarks, where = subject.robot, list[str](), subject.layout.where
-    every = -(-len(subject.rows) // MOST)
+    every = thinned(subject.rows, MOST)
     rows = subject.rows[::every]
     time = rows[:, where("time")][:, 0]
     show("frozen weights", 0.1)
@@ -208,10 +215,16 @@ def frozen_weights(
         remarks.append(f"no held-out trajectory: {' '.join(str(error).split())}")
     mass = usual_payload(robot) if payload is None else payload
     place = "at the arm's tip" if robot.joint_names else "on the base"
-    truth = psi_along(loaded(robot, mass), rows, subject.layout)
-    frozen["payload"] = Frozen(f"the same with {mass:.3g} kg {place}", time, truth, visited)
+    some = slice(None, None, thinned(rows, FEW))
+    truth = psi_along(loaded(robot, mass), rows[some], subject.layout)
+    frozen["payload"] = Frozen(f"the same with {mass:.3g} kg {place}", time[some], truth, visited[some])
     show("frozen weights", 1.0)
-    return frozen, features_of(learner, rows), remarks
+    return frozen, remarks
+
+
+def thinned(rows: Array, most: int) -> int:
+    """Every how many rows leave at most so many."""
+    return -(-len(rows) // most)
 
 
 def psi_along(robot: Robot, rows: Array, layout: Layout) -> Array:
