@@ -423,7 +423,7 @@ def both(command: Callable[[Path], list[str]], here: Path, apart: float) -> list
 
 def together(options: argparse.Namespace) -> list[str]:
     """Two of the same command at once: those that grow what they write, and all others that write."""
-    from failing_disks import COMMANDS, GROWING, prepare
+    from failing_disks import COMMANDS, prepare
 
     wrong, counts, rng = list[str](), collections.Counter[str](), random.Random(options.seed)
     with tempfile.TemporaryDirectory() as scratch:
@@ -436,7 +436,7 @@ def together(options: argparse.Namespace) -> list[str]:
             return lambda here: [*where, *(word.format(out=here / "out") for word in words.split())]
 
         tried = {name: (job.command, job.results) for name, job in JOBS.items()}
-        tried |= {n: (other(words), names_in) for n, words in COMMANDS.items() if n not in (*GROWING, *JOBS)}
+        tried |= {n: (other(words), names_in) for n, words in COMMANDS.items() if n not in JOBS}
         for name in options.only or tried:
             command, results = tried[name]
             sound = prepared(Path(scratch) / name.replace(" ", "_") / "sound")

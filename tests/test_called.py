@@ -37,7 +37,7 @@ from mmnn_pin.model.urdf.finding import AuditError
 from mmnn_pin.reference.motion import Motion
 from mmnn_pin.reference.wishes import HOLD, BaseVelocity, JointGoal
 from mmnn_pin.safety import Safety
-from mmnn_pin.settings.arguments import faced
+from mmnn_pin.settings.arguments import faced, shortly
 from mmnn_pin.signals import Array
 
 CALLS = 3_000
@@ -67,7 +67,34 @@ TEXTS = [
     "\x1b[31m",
     "/dev/zero",
 ]
-VALUES = [*ODD, *SHAPED, *NUMBERS, *TEXTS, "0.5", "arm_1_joint", "base_link", "v", "z", ..., np.zeros(2, [("a", "f8")])]
+
+
+def own(name: str) -> Any:
+    """An object of which one method raises an error of its own."""
+
+    def fail(*_: Any) -> Any:
+        raise LookupError(name)
+
+    return type("Own", (), {name: property(fail) if name == "__class__" else fail})()
+
+
+METHODS = ("repr", "eq", "hash", "len", "bool", "iter", "array", "array_ufunc", "float", "index", "fspath", "getattr")
+OWN = [own(f"__{name}__") for name in (*METHODS, "getattribute", "class")]
+OWN += [[OWN[0]], (OWN[0], 1.0), {"a": OWN[0]}, np.array([OWN[0]], object), np.array(None), np.array({"a": 1.0})]
+VALUES = [
+    *ODD,
+    *SHAPED,
+    *NUMBERS,
+    *TEXTS,
+    *OWN,
+    "0.5",
+    "arm_1_joint",
+    "base_link",
+    "v",
+    "z",
+    ...,
+    np.zeros(2, [("a", "f8")]),
+]
 LONG = {"run", "view", "replay", "report", "plot", "save"}  # they would work, or write
 AT_REST = Measurement(np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(2))
 
@@ -142,7 +169,7 @@ def test_nothing_but_the_packages_errors_leaves(things, monkeypatch, tmp_path) -
             assert "internal" not in str(error) and (str(error).isprintable() or isinstance(error, AuditError))
             seen["refused"] += 1
         except Exception as error:
-            raise AssertionError(f"{name} of {given} ended in {error!r}") from error
+            raise AssertionError(f"{name} of {[*map(shortly, given.values())]} ended in {error!r}") from error
     assert seen["done"] > CALLS / 6 and seen["refused"] > CALLS / 4
 
 

@@ -179,7 +179,9 @@ class Examined:
         complete = bool(self.file.attrs["complete"])
         tables, timing = self.tables("signals"), self.tables("timing")
         if "time" not in tables and "signals/time" not in self.damage:
-            raise RecordingError("it has no signals/time", fix=AGAIN, file=self.path)
+            raise RecordingError(
+                "it has no signals/time", why=self.damage.get("signals", ""), fix=AGAIN, file=self.path
+            )
         columns = {name: about for name, table in tables.items() if (about := self.columns_of(name, table, meta))}
         rows = self.rows({f"signals/{n}": tables[n] for n in columns} | {f"timing/{n}": t for n, t in timing.items()})
         if "time" in columns:
@@ -236,7 +238,7 @@ class Examined:
         if group not in self.file:
             return {}
         holder = self.file[group]
-        if not isinstance(holder, h5py.Group) or len(holder) > MOST_MEMBERS:
+        if not isinstance(holder, h5py.Group):
             self.damage[group] = "it is no group of arrays"
             return {}
         require_links(holder, self.path)
@@ -367,7 +369,8 @@ class Examined:
 def require_links(group: h5py.Group, path: Path) -> None:
     """Refuse members of a group that are only links: their target may be any file (`RecordingError`)."""
     if len(group) > MOST_MEMBERS:
-        raise RecordingError(f"{group.name} has {len(group)} members", fix=AGAIN, file=path)
+        what = f"{group.name} has {len(group):,} members, a recording at most {MOST_MEMBERS:,}"
+        raise RecordingError(what, fix=AGAIN, file=path)
     for name in group:
         raw = name if isinstance(name, bytes) else name.encode(errors="surrogateescape")
         if group.id.links.get_info(raw).type != h5py.h5l.TYPE_HARD:

@@ -187,8 +187,18 @@ def hints(owner: Any) -> dict[str, Any]:
 
 def fits(value: Any, kind: Any) -> bool:
     """Whether a value is of an annotated type; any sequence stands for a list, any number for a float."""
+    try:
+        return is_of(value, kind)
+    except Exception:  # no Unicode, a signalling NaN, a list in itself, whatever its own methods raise
+        return False
+
+
+def is_of(value: Any, kind: Any) -> bool:
+    """As `fits`; what the value's own methods raise is raised."""
     if type(value) is kind or kind in (Any, object):
         return True
+    if kind is NoneType or (isinstance(value, np.ndarray) and value.dtype.kind == "O" and not value.ndim):
+        return False  # as a list, what is masked is None, an object in an array itself
     test, parts = test_of(kind)
     if test is not None:
         return test(value)
@@ -200,7 +210,7 @@ def fits(value: Any, kind: Any) -> bool:
         return len(value) == len(parts) and all(map(fits, value, parts))
     try:
         msgspec.convert(bare(value), kind)
-    except (msgspec.ValidationError, ValueError, RecursionError):  # no Unicode, a signalling NaN; a list in itself
+    except msgspec.ValidationError:
         return False
     except TypeError:  # of items of several classes
         items = value.values() if isinstance(value, Mapping) else value
@@ -309,5 +319,8 @@ def wrong_type(error: msgspec.ValidationError | str, value: Any = None) -> tuple
 
 def shortly(value: Any) -> str:
     """A value as a message names it."""
-    text = str(value).lower() if isinstance(value, bool) else " ".join(repr(value).split())
+    try:
+        text = str(value).lower() if type(value) is bool else " ".join(repr(value).split())
+    except Exception:  # of its own
+        text = object.__repr__(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -116,7 +116,10 @@ FOREIGN: dict[str, tuple[Change, str]] = {
     "odd version": (attribute("format_version", "new"), "its format version is 'new'"),
     "odd completeness": (attribute("complete", "yes"), "not a recording"),
     "no time": (lambda file: file.__delitem__("signals/time"), "it has no signals/time"),
-    "many members": (lambda file: [file.create_group(f"g{i}") for i in range(1001)], "/ has 1005 members"),
+    "many members": (lambda file: [file.create_group(f"g{i}") for i in range(1001)], "/ has 1,005 members"),
+    "many signals": (lambda file: [file.create_group(f"signals/s{i}") for i in range(1001)], "/signals has 1,0"),
+    "no group": (linked("signals", h5py.SoftLink("/")), "signals is not read: it is a link"),
+    "an array for a group": (replaced("signals", data=np.zeros(3)), "it has no signals/time: it is no group of arrays"),
 }
 
 
