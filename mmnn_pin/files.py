@@ -21,6 +21,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import FileIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -193,6 +194,7 @@ def whole_file(path: Path, what: str, force: bool = True) -> Iterator[Path]:
     require_free(path, force, what)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     with errors_of(path, what), folders_for(path):
+        part.unlink(missing_ok=True)  # a link of somebody else's would be written through
         try:
             yield part
             settle(part, path, what, force)
@@ -341,6 +343,25 @@ def folders_for(path: Path) -> Iterator[None]:
         raise
 
 
+def ours(path: Path, flags: int = 0) -> FileIO:
+    """A plain file that we write to where it is: no link, which may lead to a file that is none of this.
+
+    Args:
+        path: The file.
+        flags: `O_CREAT` makes it where there is none.
+
+    Raises:
+        OSError: It cannot be opened, or is something else.
+    """
+    if path.is_symlink():
+        raise OSError("it is a link")
+    number = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | flags, 0o666)
+    if stat.S_ISREG(os.fstat(number).st_mode):
+        return FileIO(number, "r+b")
+    os.close(number)
+    raise OSError(NO_FILE)
+
+
 @contextmanager
 def locked(path: Path, what: str, kind: type[InputError] = RecordingError) -> Iterator[None]:
     """Keep other processes from writing a file; the lock ends with this process, however that ends.
@@ -355,7 +376,7 @@ def locked(path: Path, what: str, kind: type[InputError] = RecordingError) -> It
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.with_name(f"{path.name}.lock").open("a+b", buffering=0)
+        file = ours(path.with_name(f"{path.name}.lock"), os.O_CREAT)
     except OSError as error:
         fix = way_out(error) or "choose another folder"
         raise kind("the folder cannot be written to", why=reason(error), fix=fix, file=path) from None

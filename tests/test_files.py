@@ -18,7 +18,8 @@ import yaml
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mmnn_pin.errors import ConfigError, RecordingError
+from mmnn_pin import Recording
+from mmnn_pin.errors import ConfigError, RecordingError, StudyError
 from mmnn_pin.files import (
     DEEPEST,
     LONGEST,
@@ -31,6 +32,9 @@ from mmnn_pin.files import (
     whole_file,
     whole_folder,
 )
+from mmnn_pin.lab.study.store import writing
+from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.signals import Layout
 
 # -- TOML --------------------------------------------------------------------------------------------------------------
 
@@ -137,6 +141,31 @@ def test_a_folder_appears_whole_or_joins_what_is_there(tmp_path):
         (m / "0").write_text("new")
         (m / "z").write_text("new")
     assert not (tmp_path / "out" / "0").exists() and (tmp_path / "out" / "a").read_text() != "new"
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+@pytest.mark.parametrize("planted", [".run.h5.{pid}.part", "results.jsonl", "results.jsonl.lock"])
+def test_what_is_written_goes_through_no_link_and_no_pipe(planted: str, kind: str, tmp_path: Path) -> None:
+    """A folder that somebody else has made may hold them under the names that we use."""
+    name, theirs = planted.format(pid=os.getpid()), tmp_path / "theirs"
+    theirs.write_text("no line of ours")
+    (tmp_path / name).symlink_to(theirs) if kind == "link" else os.mkfifo(tmp_path / name)
+    if name.endswith(".part"):
+        with whole_file(tmp_path / "run.h5", "file") as part:
+            part.write_text("mine")
+        assert (tmp_path / "run.h5").read_text() == "mine" and not (tmp_path / "run.h5").is_symlink()
+        (tmp_path / "run.h5").unlink()
+        (tmp_path / name).symlink_to(theirs) if kind == "link" else os.mkfifo(tmp_path / name)
+        with Recorder(Layout(0, 1, 1, 1), {}, tmp_path / "run.h5"):
+            pass
+        assert Recording.open(tmp_path / "run.h5").names
+    else:
+        with (
+            pytest.raises(StudyError, match="it is a link" if kind == "link" else "it is no plain file"),
+            writing(tmp_path / "results.jsonl"),
+        ):
+            pass
+    assert theirs.read_text() == "no line of ours"
 
 
 HOLD = """

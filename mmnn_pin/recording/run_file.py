@@ -321,7 +321,8 @@ def _create(path: Path, before: Path | None, image: bytes) -> int:
 
 def _write_locked(path: Path, data: bytes) -> int:
     """Write a file, not by HDF5, which does not survive a full disk; its descriptor, locked while it is open."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
+    path.unlink(missing_ok=True)
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         with open(descriptor, "wb", closefd=False) as file:
@@ -356,7 +357,8 @@ def _in_memory(image: bytes = b"") -> h5py.File:
     """A file in memory that begins as an image."""
     access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
     access.set_fapl_core(SLACK_BYTES, False)
-    name = f"recording {next(NUMBERS)}".encode()  # HDF5 takes two open files of one name for the same
+    # HDF5 takes two open files of one name for the same, and one on the disk for this one: none can have that name
+    name = f"{os.devnull}/recording {next(NUMBERS)}".encode()
     if not image:
         return h5py.File(h5py.h5f.create(name, h5py.h5f.ACC_TRUNC, fapl=access))
     access.set_file_image(image)

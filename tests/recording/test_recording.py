@@ -1,6 +1,7 @@
 """A run comes back as it was written, whatever ended it."""
 
 import errno
+import itertools
 import os
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import RecordingError, UnknownName
+from mmnn_pin.recording import run_file
 from mmnn_pin.recording.recorder import Recorder, buffer_rows
 from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import SIGNALS, Layout
@@ -423,3 +425,13 @@ def test_a_file_is_replaced_only_by_one_with_a_header(tmp_path, monkeypatch):
     with pytest.raises(RecordingError, match="cannot create the recording: Input/output error"):
         Recorder(LAYOUT, META, tmp_path / "run.h5", force=True)
     assert len(Recording.open(tmp_path / "run.h5")) == 5 and len(list(tmp_path.iterdir())) == 1
+
+
+def test_files_of_the_current_folder_do_not_meet_what_is_made_in_memory(tmp_path, monkeypatch):
+    """HDF5 looks for a file of the name that it is given, also where it writes none."""
+    monkeypatch.chdir(tmp_path)
+    for number in range(20):
+        os.mkfifo(f"recording {number}")
+    monkeypatch.setattr(run_file, "NUMBERS", itertools.count())
+    run_file._empty.cache_clear()
+    assert len(record(rows_of(3), tmp_path / "run.h5")) == 3

@@ -8,6 +8,7 @@ written whole is dropped. One process writes, held off from others by a lock; re
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from typing import Any, Literal
 import msgspec
 
 from ...errors import StudyError
-from ...files import FULL, locked, opened, reason, whole_file
+from ...files import FULL, locked, opened, ours, reason, whole_file
 from ...settings.arguments import wrong_type
 
 FORMAT, VERSION = "mmnn_pin study", 2
@@ -103,7 +104,7 @@ class Store:
         """
         text = b"".join(encoded(line) for line in lines)
         try:
-            with self.path.open("r+b", buffering=0) as file:
+            with ours(self.path) as file:
                 end = file.seek(0, 2)
                 try:
                     if file.write(text) != len(text):
@@ -124,7 +125,7 @@ class Store:
 def cannot_write(path: Path, error: OSError) -> StudyError:
     """The error of a file that cannot be written any more."""
     fix = ROOM if error.errno in FULL else ""
-    if not path.is_file():
+    if not path.exists():
         fix = "leave its folder where it is until the study is over; the same command makes its rows again"
     return StudyError("cannot write the results", why=reason(error), fix=fix, file=path)
 
@@ -144,9 +145,8 @@ def writing(path: Path) -> Iterator[Store]:
     """
     with locked(path, "results file", StudyError):
         try:
-            path.touch()
-            store, whole = contents(path)
-            with path.open("r+b") as file:
+            with ours(path, os.O_CREAT) as file:
+                store, whole = contents(path)
                 file.truncate(whole)
         except OSError as error:
             raise cannot_write(path, error) from None
