@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_base import four
 from test_base import wheel as wheel_at
+from test_wild import codes
 
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.base.base import Wheel
@@ -170,6 +171,14 @@ def test_what_is_told_of_it():
     [told] = [f for f in robot.findings if f.code == "base-skid"]
     assert "taken as" not in told.message and "mu 0.5" in told.message
     assert robot.base.turning == pytest.approx(0.5 * 44 * GRAVITY * math.hypot(0.25, 0.1))
+
+
+def test_widths_of_wheels_that_stand_on_several_are_told():
+    text = rover(more="")
+    robot = robot_of(re.sub(r'(<joint name="[lr]0".*?xyz="[^ ]+ )(-?)0\.3', r"\g<1>\g<2>0.25", text), base="skid_steer")
+    assert robot.base.track == pytest.approx(0.55)
+    assert "from 0.5 m to 0.6 m" in codes(robot)["base-joints"]
+    assert "base-joints" not in codes(robot_of(text, base="skid_steer"))
 
 
 def test_the_properties_hold():

@@ -135,6 +135,18 @@ def test_collision_and_visual_shapes_that_disagree_are_told():
         assert ("0.0975 m by sight" in codes(robot).get("base-shapes", "")) == told
 
 
+@pytest.mark.parametrize(("inset", "told"), [(0.0, False), (0.04, True)])
+def test_a_track_that_is_another_by_sight_is_told(inset, told):
+    text = drive_of(CYLINDER.format(r=0.09), 0.2, 0.09)
+    for name, side in (("left", 1), ("right", -1)):
+        seen = f'<visual><origin xyz="0 {-side * inset} 0" rpy="1.5707963 0 0"/><geometry>{CYLINDER.format(r=0.09)}'
+        head, tail = text.split(f'<link name="{name}_link">')
+        text = f'{head}<link name="{name}_link">{seen}</geometry></visual>{tail}'
+    robot = robot_of(text)
+    assert robot.base.track == pytest.approx(0.4)
+    assert ("0.4 m apart by their collision shapes, 0.32 m by sight" in codes(robot).get("base-shapes", "")) == told
+
+
 def test_the_track_of_wheels_that_cannot_be_seen_is_said_to_be_that_of_the_joints():
     text = drive_of('<mesh filename="package://gone/tyre.stl"/>', 0.2, 0.05)
     robot = robot_of(text, radius=0.05)

@@ -16,7 +16,7 @@ from test_base import four
 from test_strange import ROBOT, chassis, followed, pair, ways_of, wheel, xacro
 from test_wild import codes
 
-from mmnn_pin.errors import ConfigError
+from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.base.wheels import Candidate, radius_by_inertia
 from mmnn_pin.model.loading import load
@@ -48,7 +48,8 @@ def test_a_collision_shape_whose_visual_mesh_is_missing_may_be_a_hub():
     told = codes(robot_of(chassis(hubs(0.1) + BALL)))["base-shapes"]  # it reaches the ball's floor
     assert "0.1 m is that of the collision shapes of left, right" in told
     assert "base-shapes" not in codes(robot_of(chassis(hubs(0.1).replace(GONE, ""))))
-    assert "'left' 0.1 m" in codes(robot_of(chassis(hubs(0.03) + BALL)))["base-hub-height"]
+    with pytest.raises(RobotError, match=r"heights of the hubs.*'left' 0.1 m"):
+        robot_of(chassis(hubs(0.03) + BALL))
     robot = robot_of(chassis(hubs(0.03) + BALL), radius=0.1)
     assert [w.radius for w in robot.base.wheels] == [0.1, 0.1] and robot.base.floor == pytest.approx(0)
 

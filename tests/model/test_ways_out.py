@@ -10,6 +10,7 @@ import pytest
 from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, joint, link, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_base import four
 from test_foreign import packed
 from test_strange import ROBOT, chassis, followed, pair, ways_of, wheel, xacro
 from test_wild import codes
@@ -17,14 +18,49 @@ from test_wild import codes
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.base.report import NO_FRICTION, Undecided, Unsupported
+from mmnn_pin.model.base.understanding import NO_WAY, leading_on
 from mmnn_pin.model.checks.properties import check
 from mmnn_pin.model.inspection import refusal_of
 from mmnn_pin.model.loading import load
+from mmnn_pin.model.urdf.reading import parse
+from mmnn_pin.model.urdf.shapes import AtRest
 
 EYE = '<xacro:macro name="eye" params="on"><link name="eye"/>{}</xacro:macro>'.format(
     joint("see", "fixed", "base", "eye").replace('"base"', '"${on}"')
 )
 CALL = '<xacro:eye on="base"/>'
+
+# --- What is printed --------------------------------------------------------------------------------------------------
+
+
+def test_ways_that_lead_to_another_refusal_are_not_printed():
+    text = chassis(pair())
+    rest = AtRest(parse(text.encode(), "made.urdf"))
+    lost, leads = ("--base swerve for a swerve drive", "--wheels gone,left"), ("--base tracked if belts run over them",)
+    leads += ("--wheels left,right --radius METRES where these drive", "turn it over")
+    for fix in ("; ".join([*lost, *leads]), ", or ".join([leads[0], *lost, *leads[1:]])):
+        kept = leading_on(rest, {}, Overrides(), fix)
+        assert all(way in kept for way in leads) and not any(way in kept for way in lost)
+    assert leading_on(rest, {}, Overrides(), ", or ".join(lost)) == NO_WAY
+
+
+@pytest.mark.parametrize(("text", "kind"), [
+    ("A robot with mecanum wheels.", "holonomic"), ("It has a differential drive.", "skid_steer"),
+    ("It is non-holonomic: differential-drive.", "skid_steer"),
+])  # fmt: skip
+@pytest.mark.parametrize("deep", [True, False])
+def test_the_readme_of_a_package_tells_mecanum_wheels_from_plain_ones(tmp_path, text, kind, deep):
+    package(tmp_path / "src" / "own", "own", "urdf/none.xacro", "")
+    file = tmp_path / "src" / "own" / "urdf" / "robot.urdf"
+    file.write_text(four())
+    with pytest.raises(Undecided):
+        load(file)
+    (tmp_path / "src" / ("." if deep else "own") / "README.md").write_text(text)
+    assert load(file).base.kind == kind
+    (tmp_path / "src" / ("." if deep else "own") / "README.md").write_text(f"{text} Mecanum or diff drive.")
+    with pytest.raises(Undecided):
+        load(file)
+
 
 # --- Packages ---------------------------------------------------------------------------------------------------------
 

@@ -40,11 +40,11 @@ def blind(more: str = "", box: float | None = 0.2, mesh: str = "") -> str:
 
 @pytest.mark.parametrize("mesh", ["", "package://gone/wheel.stl", "http://nowhere/wheel.stl"])
 @pytest.mark.parametrize(("more", "box"), [(FOOT, None), (FOOT, 0.2), (FOOT, 0.11), (BALL, 0.2), (FOOT + BALL, None)])
-def test_hub_height_above_a_footprint_or_a_ball_is_taken_with_a_warning(more, box, mesh):
-    robot = robot_of(blind(more, box, mesh))
+def test_hub_height_above_a_footprint_or_a_ball_is_asked_about(more, box, mesh):
+    with pytest.raises(RobotError, match=r"'left' 0.1 m, 'right' 0.1 m\?.*--radius 0.1 if so, else --radius METRES"):
+        robot_of(blind(more, box, mesh))
+    robot = robot_of(blind(more, box, mesh), radius=0.1)
     assert robot.base.kind == "differential_drive" and [w.radius for w in robot.base.wheels] == pytest.approx([0.1] * 2)
-    told = next(f for f in robot.findings if f.code == "base-hub-height")
-    assert told.severity == "warning" and "'left' 0.1 m" in told.message and "--radius" in told.fix
 
 
 @pytest.mark.parametrize("mesh", ["", "package://gone/wheel.stl"])

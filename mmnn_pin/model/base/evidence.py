@@ -34,7 +34,12 @@ WORDS: Patterns = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
     ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
-MECANUM = re.compile(r"mecanum|swedish_?wheel", re.IGNORECASE)
+SAID: Patterns = (  # in a text for people
+    ("holonomic", re.compile(r"mecanum|omni-?(?:wheel|directional)|(?<!non)(?<!non-)holonomic", re.IGNORECASE)),
+    ("skid_steer", re.compile(r"skid|diff(?:erential)?[ _-]?drive", re.IGNORECASE)),
+)
+README = "[Rr][Ee][Aa][Dd][Mm][Ee]*"
+MECANUM = re.compile(r"mecanum|swedish_?wheel|(?<![a-z])meca?(?![a-z])", re.IGNORECASE)
 DRIVING = (
     ("car-like", re.compile(r"tricycle|ackermann|bicycle|car[_-]?like|four_wheel_steering", re.IGNORECASE)),
     ("differential_drive", re.compile(r"diff[_-]?drive", re.IGNORECASE)),
@@ -54,11 +59,13 @@ WEIGHTS = {  # of evidence by its source, as of `model.signs`: the last ones onl
     "mecanum": 4.5,
     "meshes": 2.5,
     "names": 1.5,
+    "readme": 2.2,
     "called": 1.2,
     "transmissions": 1.0,
 }
 NO_FRICTION, GRIP = 1e-3, 0.2  # friction coefficients below the first slide, above the second hold
-LONGEST, YAMLS = 1_000_000, 40  # bytes of a controllers' file, files looked at beside a robot's
+LONGEST, YAMLS = 1_000_000, 40  # bytes of a controllers' file or a README, files looked at beside a robot's
+ABOVE = 5  # folders from a package's up that may have its README
 # Names of plugins and controllers for a length, and the factor to it.
 TRACKS = {"wheel_separation": 1.0, "wheelSeparation": 1.0, "track_width": 1.0, "wheel_separation_y": 1.0}
 RADII = {"wheel_radius": 1.0, "wheelRadius": 1.0, "wheel_diameter": 0.5, "wheelDiameter": 0.5, "wheels_radius": 1.0}
@@ -94,8 +101,9 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
     """All evidence about parallel wheels, in the order of its weight; errors as of `lines_of`."""
     files = own_files(rest, {c.joint.name for c in wheels}, controllers)
     words = (word for file in files for word in types_in(file, WORDS))
-    found = [*rollers(rest, wheels), *plugins(rest), *(Evidence(*word, "controllers") for word in words)]
-    return [*found, *motors_of_some(rest, wheels), *contact(rest, wheels), *names(rest, wheels)]
+    drivers = [*plugins(rest), *(Evidence(*word, "controllers") for word in words)]
+    found = [*rollers(rest, wheels), *drivers, *motors_of_some(rest, wheels), *contact(rest, wheels)]
+    return [*found, *names(rest, wheels), *([] if drivers else readme(rest))]  # a README repeats what drivers say
 
 
 def rollers(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -207,13 +215,25 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
                 if hit := next(filter(None, map(pattern.search, words)), None):
                     text = f"'{hit[0]}' in the {word} of wheel '{name}' (line {line})"
                     yield Evidence(meaning, text, line, source, name)
-    called = f"{rest.document.root.get('name', '')} {rest.document.path.name}"
+    package = own_package(rest)
+    called = f"{rest.document.root.get('name', '')} {rest.document.path.name} {package.name if package else ''}"
     shown = " ".join(mesh.get("filename", "") for mesh in rest.document.root.iterfind("link/*/geometry/mesh"))
     if hit := MECANUM.search(f"{called} {shown}"):
         yield Evidence("holonomic", f"the robot or a mesh of it is called '{hit[0]}'", 1, "mecanum")
     for meaning, pattern in (*WORDS, ("skid_steer", OUTDOORS)):
         if hit := pattern.search(called):
             yield Evidence(meaning, f"the robot is called '{hit[0]}'", 1, "called")
+
+
+def readme(rest: AtRest) -> Iterator[Evidence]:
+    """Words of the README of a robot's package, the first from there up; none where it speaks of several kinds."""
+    package = own_package(rest)
+    folders = [package, *package.parents][:ABOVE] if package else []
+    file = next((file for folder in folders for file in sorted(folder.glob(README)) if file.is_file()), None)
+    text = read_bytes(file, LONGEST).decode(errors="replace") if file and file.stat().st_size < LONGEST else ""
+    found = [(meaning, hit[0]) for meaning, pattern in SAID if (hit := pattern.search(text))]
+    for meaning, word in found if len(found) == 1 else ():
+        yield Evidence(meaning, f"the README says '{word}'", 1, "readme")
 
 
 # -- what drives its joints --------------------------------------------------------------------------------------------
@@ -365,6 +385,12 @@ def beside(rest: AtRest) -> list[Path]:
     places = [folder / place for folder in folders for place in ("", "config", "params")]
     files = [file for place in places for file in place.glob("*.y*ml")]
     return [file for file in files[:YAMLS] if file.stat().st_size < LONGEST]
+
+
+def own_package(rest: AtRest) -> Path | None:
+    """The ROS package that a robot's file is in, None where no `package.xml` marks one."""
+    folder = Path(package_of(str(rest.document.path.parent.absolute())))
+    return folder if (folder / "package.xml").is_file() else None
 
 
 def siblings(folder: Path) -> list[Path]:

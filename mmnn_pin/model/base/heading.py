@@ -30,6 +30,7 @@ from .wheels import SLOPPY, TOUCHING, Candidate, coaxial, parallel, rolling
 
 CONVENTION, SAID_SIDES, SIDES, ENDS, RATES, VIEW, PLACE, ARM, CASTERS = 4.5, 4.0, 3.0, 4.0, 1.5, 2.0, 0.7, 0.7, 0.7
 DRAWN = 2.5  # weight of x in the place of CONVENTION where a drawing program wrote the file: its axes are the drawing's
+CROSSED = 3.0  # likewise where wheels roll in several directions: two of thirteen public robots drive along y
 DRAWERS = re.compile(rb"solidworks|sw_urdf_exporter|fusion2urdf|onshape", re.IGNORECASE)  # at the head of their files
 HEAD = 2000  # bytes of that
 TOWED, STEERED = 4.0, 2.0  # weights of trailers, which are behind, and of wheels that steer, which are mostly ahead
@@ -178,12 +179,14 @@ def arrows(rest: AtRest, drives: Sequence[Candidate], controllers: str | None, a
     least = min((c.radius for c in drives if not math.isnan(c.radius)), default=0.0) / 2
     near = [name for name in rest.document.links if len(rest.document.moving_ancestors(name)) <= 1]
     at = {name: rest.placements[name][:2, 3] - middle for name in near}
-    yield Arrow("x of the root link", np.array([1.0, 0.0]), DRAWN if is_drawn(rest) else CONVENTION)
+    crossed = len(ways_of(drives, any_way)) > 2
+    weight = DRAWN if is_drawn(rest) else CROSSED if crossed else CONVENTION
+    yield Arrow("x of the root link", np.array([1.0, 0.0]), weight)
     yield from sides(rest, drives, middle, controllers, at)
     ends = [(FRONT.search(name), REAR.search(name), place) for name, place in at.items()]
     ends += [(FRONT.search(c.joint.name), REAR.search(c.joint.name), c.centre[:2] - middle) for c in drives]
     yield from arrow("names of front and rear", [p if f else -p for f, r, p in ends if bool(f) != bool(r)], ENDS, least)
-    if not any_way and all(parallel(drives[0], c) for c in drives[1:]):
+    if not crossed:
         yield from arrow("positive rates of the wheels", [rolling(c) for c in drives], RATES)
     yield from eyes(rest, middle, least)
     if len(drives) == 2:

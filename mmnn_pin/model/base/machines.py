@@ -32,6 +32,7 @@ TRACK_NAMES = re.compile(
     r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?|flippers?|tank)([_./ -]|$)", re.IGNORECASE
 )
 TANK_NAMES = re.compile(r"(^|[_/ -])(tracked|crawlers?|caterpillars?|tank)([_./ -]|$)", re.IGNORECASE)
+TRACKED_NAMES = re.compile(r"tracked|crawler|caterpillar", re.IGNORECASE)  # of "tanks" some have plain wheels
 LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
 SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
 SWERVE = "swerve drive"
@@ -87,8 +88,10 @@ def belt_signs(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Sign]:
     count = max(alike, len(wheels))
     if count > 2 * MOST_PER_SIDE:
         yield Sign(f"{count} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks", 4.0)
-    if named := track_named(rest):
-        yield Sign(named, 1.0)
+    if named := welded_tracks(rest):
+        yield Sign(named, 3.0)
+    elif named := track_named(rest):
+        yield Sign(named, 2.5 if TRACKED_NAMES.search(named) else 1.0)
     size, bottom = (max(2.0 * c.radius for c in wheels), min(c.bottom for c in wheels)) if wheels else (0.0, 0.0)
     if rest.is_footprint and bottom > size:
         text = f"they end {bottom:.3g} m above the root link '{rest.document.root_link}', which stands for the floor"

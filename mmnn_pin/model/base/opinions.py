@@ -69,6 +69,15 @@ def track_opinions(rest: AtRest, base: Base, drives: Sequence[Candidate]) -> Ite
     if apart(joints, contacts):
         text = f"the wheels touch the floor {contacts:.4g} m apart, their joints are {joints:.4g} m apart"
         yield note(rest, "base-joints", first, text, "the track is that of the contacts", "--track for another")
+    seen = np.array([float((c.centre + c.beside * c.axis)[:2] @ left) for c in drives])
+    on_left = seen > seen.mean()
+    if on_left.any() and apart(by_sight := float(seen[on_left].mean() - seen[~on_left].mean()), base.track):
+        text = f"the wheels stand {base.track:.4g} m apart by their collision shapes, {by_sight:.4g} m by sight"
+        yield note(rest, "base-shapes", first, text, "taken are the former", f"--track {by_sight:.4g}")
+    widths = [2.0 * abs(w.y) for w in base.wheels]
+    if base.scrubs and apart(min(widths), max(widths)):
+        text = f"wheels of a side stand on several widths, from {min(widths):.4g} m to {max(widths):.4g} m"
+        yield note(rest, "base-joints", first, text, "the track is that of their means", "--track for another")
     unseen = [c.joint.name for c in drives if c.shape in UNSEEN]
     if unseen and len(base.wheels) > 1:
         text = f"the track of {contacts:.4g} m is that of the joints: where {', '.join(unseen)} touch cannot be seen"

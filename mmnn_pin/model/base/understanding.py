@@ -18,7 +18,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ...errors import ConfigError, RobotError
+from ...errors import ConfigError, InputError, RobotError
 from ..arm import Arm, choose_arm
 from ..signs import Sign
 from ..urdf.document import Document, Joint, text_of
@@ -97,7 +97,11 @@ UPRIGHT = (
     "like bodies turn without end about vertical axes: do they steer, or swivel, is their <axis> wrong, or is y up"
 )
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
-PARKING = re.compile(r"(?:; |,? or |, |^)--base fixed [^;,]*")  # the way out for what has an arm
+WAYS = re.compile(r"(; |,? or (?=--|name )|, (?=--|name ))")  # what stands between the ways out of a fix
+OPTION = re.compile(r"--(base|wheels|steer|hitch|forward) (?!if |and |name |JOINTS)([^\s;,]+(?:,[^\s;,]+)*)")
+LISTED = ("wheels", "steer", "hitch")
+RADII_TRIED = (0.05, 0.15, 0.4)  # [m] in the place of a radius that a way out asks for
+NO_WAY = "mend the file: no option leads on"
 UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
 PLANE = [(False, True), (True, True)]  # a turn and a slide, both upright: beside two level slides
 FAR = 50.0  # [m] travel of a slide that no gantry has
@@ -129,33 +133,59 @@ def understand(document: Document, overrides: Overrides) -> Roles:
     document, welds = welded(document)
     rest = AtRest(document, folders_of(document.path, overrides))
     try:
-        found = find_base(rest, overrides)
-        require_rolling(rest, found.base, welds, overrides)
+        return roles_in(rest, welds, overrides)
     except RobotError as error:
-        if "--base fixed" in error.fix and not is_arm(rest, overrides):
-            raise error.but(fix=PARKING.sub("", error.fix).lstrip(";, ")) from None
-        raise
+        raise error.but(fix=leading_on(rest, welds, overrides, error.fix)) from None
+
+
+def roles_in(rest: AtRest, welds: dict[str, str], overrides: Overrides, asks: bool = True) -> Roles:
+    """The roles of a robot at rest whose root's joints were welded; errors as of `understand`, `asks` of `understood`.
+
+    Args:
+        rest: The robot at rest.
+        welds: Joints that stood it in the world, with their types.
+        overrides: What the user says.
+        asks: Whether ways out are tried and printed where it is undecided.
+    """
+    found = find_base(rest, overrides, asks)
+    require_rolling(rest, found.base, welds, overrides)
     arm = choose_arm(rest, found.base, overrides)
     if not found.base.columns and not arm.joints:
         fix = "--free JOINT moves one that is locked"
         raise unsupported(rest, "single rigid body", "no joint of it moves", (), fix)
     notes = (*arm_notes(rest, arm), *weld_notes(rest, welds))
-    return Roles(document, rest, found.base, arm, found.findings, notes, found.taken)
+    return Roles(rest.document, rest, found.base, arm, found.findings, notes, found.taken)
 
 
-def is_arm(rest: AtRest, overrides: Overrides) -> bool:
-    """Whether something of a robot moves once its base is parked."""
-    still = Overrides(base="fixed", lock=overrides.lock, package_dirs=overrides.package_dirs)
-    return bool(choose_arm(rest, find_base(rest, still).base, still).joints)
+def leading_on(rest: AtRest, welds: dict[str, str], overrides: Overrides, fix: str) -> str:
+    """A fix without those of its ways out that lead to another refusal: each that names options of a base is tried."""
+    first, *more = WAYS.split(fix)
+    ways = [("", first), *zip(more[::2], more[1::2], strict=True)]
+    kept = [(before, way) for before, way in ways if leads_on(rest, welds, overrides, way)]
+    return "".join(f"{before if k else ''}{way}" for k, (before, way) in enumerate(kept)) or NO_WAY
 
 
-def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
-    """The mobile base of a robot at rest; errors as of `understand`."""
+def leads_on(rest: AtRest, welds: dict[str, str], overrides: Overrides, way: str) -> bool:
+    """Whether a way out leads to a robot, or names no option of a base; a length that it asks for may be any."""
+    said = {key: tuple(text.split(",")) if key in LISTED else text for key, text in OPTION.findall(way)}
+    if not said or "FOLDER" in way:
+        return True
+    for radius in RADII_TRIED if "--radius METRES" in way else (overrides.radius,):
+        try:
+            roles_in(rest, welds, msgspec.structs.replace(overrides, **said, radius=radius), asks=False)
+        except InputError:
+            continue
+        return True
+    return False
+
+
+def find_base(rest: AtRest, overrides: Overrides | None = None, asks: bool = True) -> BaseResult:
+    """The mobile base of a robot at rest; errors as of `understand`, `asks` as of `understood`."""
     overrides = overrides or Overrides()
-    result = understood(rest, overrides)
+    result = understood(rest, overrides, asks)
     taken, findings = calibration(rest, result.base, overrides)
     if taken:
-        result = understood(rest, msgspec.structs.replace(overrides, **taken))
+        result = understood(rest, msgspec.structs.replace(overrides, **taken), asks)
     return replace(result, findings=(*result.findings, *findings), taken=taken)
 
 

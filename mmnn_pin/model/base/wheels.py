@@ -39,6 +39,7 @@ MIDDLE = 0.05  # of the track: wheels nearer to the middle are on no side
 TILTED = 0.3  # vertical part of a unit axis beyond which nobody means a wheel
 LUMPY, PARTIAL = "not round", "mesh missing"  # shapes that are not measured, one since a mesh of it cannot be read
 HUB, STATED = "hub height", "radius as stated"  # shapes of wheels whose body cannot be read
+NOT_SEEN = (math.nan, math.nan, False)  # radius and place by sight, whether a shape cannot be read
 UNSEEN = (HUB, STATED, PARTIAL, LUMPY, "unknown")
 FLOOR_NAMES = re.compile(r"footprint|ground|floor|world|map|odom", re.IGNORECASE)  # of frames that stand for the floor
 STEER_NAMES = re.compile(r"steer", re.IGNORECASE)
@@ -64,6 +65,7 @@ class Candidate:
     rollers: tuple[str, ...] = ()  # joints of the rollers on its rim
     # radius of its visual shapes where its collision shapes are measured, nan where it is not known [m]
     other: float = math.nan
+    beside: float = math.nan  # place of those along the axis, from the centre; nan where it is not known [m]
     # radius of what is left of it where a mesh is missing: that may be its hub; nan where nothing is missing, or
     # nothing left [m]
     left: float = math.nan
@@ -351,9 +353,9 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
         look = look_at(rest, joint, rollers, tag)
         if look.rounds and not look.gone:
             radius, travel, kind = max(look.rounds)
-            other, unseen = visual_radius(rest, joint) if tag == "collision" and not look.rimmed else (math.nan, False)
-            left = radius if unseen else math.nan
-            return Candidate(joint, axis, hub + travel * axis, radius, kind, other=other, left=left)
+            other, at, unseen = by_eye(rest, joint) if tag == "collision" and not look.rimmed else NOT_SEEN
+            left, at = radius if unseen else math.nan, at - travel
+            return Candidate(joint, axis, hub + travel * axis, radius, kind, other=other, beside=at, left=left)
         looks.append(look)
         left = max([left, *(radius for radius, _, _ in look.rounds)], key=lambda r: 0.0 if math.isnan(r) else r)
     gone, seen = any(look.gone for look in looks), any(look.seen for look in looks)
@@ -382,11 +384,11 @@ def look_at(rest: AtRest, joint: Joint, rollers: tuple[str, ...], tag: str) -> W
     return WheelSight(rounds, bool(bodies), gone or rims_gone, bool(rims))
 
 
-def visual_radius(rest: AtRest, joint: Joint) -> tuple[float, bool]:
-    """Radius of the round visual shapes on a joint, nan where none is read [m], and whether one cannot be read."""
+def by_eye(rest: AtRest, joint: Joint) -> tuple[float, float, bool]:
+    """Radius of the round visual shapes on a joint and their place along it, nan where none is read; if one is gone."""
     bodies, gone = readable(rest, rest.document.body(joint.child), "visual")
     fits = [fit for s in bodies if (fit := round_about(s, rest.hub(joint), rest.axis(joint)))]
-    return (max(fits)[0] if fits and not gone else math.nan), gone
+    return (*max(fits), gone) if fits and not gone else (math.nan, math.nan, gone)
 
 
 def readable(rest: AtRest, links: list[str], tag: str) -> tuple[list[Shape], bool]:

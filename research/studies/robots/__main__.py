@@ -41,6 +41,7 @@ from research.studies import track_any
 
 CONTROLLERS = ("pd_gravity", "adaptive", "computed_torque")  # that drive
 TOLERANCE = 0.03  # of the maker's radius and track
+NAMED = 1e-3  # a finding names a length that it has within this fraction
 FORWARD = {"+x": 0.0, "+y": math.pi / 2, "-x": math.pi, "-y": -math.pi / 2}  # of the root link's frame [rad]
 OBLIQUE = math.radians(10.0)  # by which forward may be off
 WAY = re.compile(
@@ -251,14 +252,14 @@ def faults(entry: dict[str, Any], robot: Robot) -> list[str]:
 def wrong_lengths(entry: dict[str, Any], robot: Robot) -> list[str]:
     """Radius, track and wheelbase that are not the maker's [m]; the track is what the contacts are apart, too."""
     base, found = robot.base, list[str]()
-    told = " ".join(f.message for f in robot.findings if f.code.startswith("base-"))
+    told = re.findall(r"([\d.]*\d) m\b", " ".join(f.message for f in robot.findings if f.code.startswith("base-")))
     at = [base.place(w)[1] if isinstance(base, SteeredBase) else w.y for w in base.wheels]
     lengths = {"radius": [w.radius for w in base.wheels[:1]], "track": [base.track, max(at) - min(at)] if at else []}
     if isinstance(base, SteeredBase):
         lengths["wheelbase"] = [base.length]
         lengths["track"] = [] if base.axle and not base.track else lengths["track"]  # an axle's wheels may be one body
     for name, values in lengths.items():
-        if name not in entry or not values or f"{entry[name]:.4g}" in told:
+        if name not in entry or not values or any(abs(float(text) / entry[name] - 1) < NAMED for text in told):
             continue
         if all(abs(value / entry[name] - 1) > TOLERANCE for value in values):
             found.append(f"{name} {values[0]:.4g} m for {entry[name]:.4g} m")
