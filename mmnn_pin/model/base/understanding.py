@@ -7,12 +7,14 @@ wheels is looked at for legs, rotors and belts (`machines`).
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import msgspec
@@ -170,12 +172,12 @@ def leads_on(rest: AtRest, welds: dict[str, str], overrides: Overrides, way: str
     said = {key: tuple(text.split(",")) if key in LISTED else text for key, text in OPTION.findall(way)}
     if not said or "FOLDER" in way:
         return True
-    for radius in RADII_TRIED if "--radius METRES" in way else (overrides.radius,):
-        try:
-            roles_in(rest, welds, msgspec.structs.replace(overrides, **said, radius=radius), asks=False)
-        except InputError:
-            continue
-        return True
+    radii = RADII_TRIED if "--radius METRES" in way else (overrides.radius,)
+    bare = msgspec.structs.replace(overrides, base=None, wheels=None, steer=None, hitch=None)
+    for known, radius in product((overrides, bare), radii):  # beside what the user says of it, or in its place
+        with contextlib.suppress(InputError):
+            roles_in(rest, welds, msgspec.structs.replace(known, **said, radius=radius), asks=False)
+            return True
     return False
 
 
