@@ -62,6 +62,13 @@ def test_the_readme_of_a_package_tells_mecanum_wheels_from_plain_ones(tmp_path, 
         load(file)
 
 
+def test_what_is_called_wheels_and_lies_across_its_axis_is_told_with_both_directions():
+    text = chassis("".join(wheel(n, (0, y, 0.1), (0, 0, 1), 0.1) for n, y in (("wheel_l", 0.25), ("wheel_r", -0.25))))
+    with pytest.raises(Undecided, match=r"lies along 0 1 0 in its link, and its joint turns about 0 0 1"):
+        robot_of(text)
+    assert robot_of(text.replace('<axis xyz="0.0 0.0 1.0"/>', '<axis xyz="0 1 0"/>', 2)).base.track == 0.5
+
+
 # --- Packages ---------------------------------------------------------------------------------------------------------
 
 

@@ -492,8 +492,9 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         fix = f"name them with --wheels if they turn in this file, or {UNDRIVEN}"
         raise undecided(rest, [], why, fix, [overrides.base])
     if len(called := called_wheels(rest)) > 1:
-        why = "joints that turn without end are called wheels, and none is found on the floor"
-        raise undecided(rest, called, why, FORCES, ["fixed"])
+        why, fix = "joints that turn without end are called wheels, and none is found on the floor", FORCES
+        why, fix = lumpy(rest, called) if all(c.shape == LUMPY for c in called) else (why, fix)
+        raise undecided(rest, called, why, fix, ["fixed"])
     text = "nothing in this file could be a wheel: taken as an arm on a stand"
     fix = "--base holonomic if it stands on a base whose wheels the file leaves out"
     return BaseResult(Fixed(), (note(rest, "base-none", "", text, fix=fix),))
