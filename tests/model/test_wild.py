@@ -404,6 +404,12 @@ def test_xacro_is_expanded_with_packages_by_their_names_and_arguments(tmp_path):
         load(file, xacro=("length=3",))
 
 
+def test_folders_of_a_xacro_file_may_have_brackets(tmp_path):
+    """Where xacro sees a `[`, it looks for a pattern, and goes on without the file that it does not find."""
+    robot = load(workspace(tmp_path / "[1] work*space"))
+    assert robot.model.inertias[1].lever[2] == pytest.approx(0.5) and "xacro-package" not in codes(robot)
+
+
 def test_a_misspelt_argument_of_a_xacro_file_is_refused_with_the_one_that_is_meant(tmp_path, capsys):
     """Xacro takes it in silence, and the robot is another one than was asked for."""
     file = workspace(tmp_path, '<xacro:arg name="gripper_mass"\n default="1"/>')

@@ -191,7 +191,8 @@ def weak_notes(robot: Robot) -> list[str]:
     held = np.abs(robot.gravity(robot.neutral())[robot.dimensions.base :])
     efforts = dict(zip(robot.actuator_names, robot.effort_limits, strict=True))
     return [
-        f"{name} cannot hold itself up: gravity takes {needed:.3g}, its motor gives {efforts[name]:.3g} by the URDF"
+        f"{name} cannot hold itself up: gravity takes {needed:.3g}, its motor gives {efforts[name]:.3g} by the URDF: "
+        f"correct its effort, or --lock {name}"
         for name, needed in zip(robot.joint_names, held, strict=True)
         if needed > efforts.get(name, np.inf)
     ]

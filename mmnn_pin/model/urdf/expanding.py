@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import glob
 import io
 import json
 import os
@@ -15,6 +16,7 @@ import stat
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from ...children import end_with
@@ -204,13 +206,14 @@ class Lenient:
     def in_place(self) -> Iterator[None]:
         """Have xacro call this one meanwhile."""
         places: Any = sys.modules["xacro.substitution_args"]
-        before = self.xacro.parse, self.xacro.get_include_files, places._eval_find
+        before = self.xacro.parse, self.xacro.get_include_files, places._eval_find, self.xacro.glob
         self.xacro.parse, self.xacro.get_include_files, places._eval_find = self.parsed, self.files, self.seek
+        self.xacro.glob = SimpleNamespace(glob=matching)
         self.xacro.filestack = None
         try:
             yield
         finally:
-            self.xacro.parse, self.xacro.get_include_files, places._eval_find = before
+            self.xacro.parse, self.xacro.get_include_files, places._eval_find, self.xacro.glob = before
 
     def seek(self, package: str) -> str:
         """The folder of a package; `package://NAME` where there is none, which is noted."""
@@ -262,6 +265,11 @@ class Lenient:
         """The files that an include names."""
         for file in self.include_files(name, symbols):
             yield file if os.path.exists(file) else elsewhere(file, self.known)
+
+
+def matching(name: str) -> list[str]:
+    """The files that an include's pattern names; a file of that very name first: folders may have brackets."""
+    return [name] if os.path.exists(name) else glob.glob(name)
 
 
 def elsewhere(file: str, known: dict[str, str]) -> str:
