@@ -86,4 +86,5 @@ def rubbing(robot: Robot, viscous: float = 2.0, coulomb: float = 1.0) -> Robot:
     moving = robot.T.any(axis=1)
     moving[: 3 if robot.dimensions.base else 0] = False
     grow = np.cumsum(moving) * moving
-    return replace(robot, damping=viscous * grow / grow.max(), coulomb=coulomb * grow / grow.max())
+    dry = np.where(moving, coulomb * grow / grow.max(), robot.coulomb)  # a base that scrubs does so all the same
+    return replace(robot, damping=viscous * grow / grow.max(), coulomb=dry)

@@ -38,6 +38,7 @@ from .programme import thickened
 from .report import inertia_of, links_of, report_of
 
 HARDWARE = b"# The loop of the robot as its log has it: delays and lags [s].\n"
+LEAST_MU, MOST_MU = 1e-3, 10.0  # friction coefficient between floor and wheels that is written
 CHANGED = 1e-9  # relative change of a body below which its links stay as they are
 
 
@@ -254,6 +255,15 @@ def found_wheels(robot: Robot, wheels: Wheels) -> dict[str, Any]:
     return found
 
 
+def with_turning(of: Identification, urdf: Path, said: Overrides) -> Overrides:
+    """Overrides with the friction coefficient at which a base that scrubs turns as it was found to; others as said."""
+    if not of.robot.base.scrubs:
+        return said
+    found, stated = of.theta[of.unknowns.labels.index("w.coulomb")], load_with(urdf, said).coulomb[2]
+    mu = (said.mu or 1.0) * found / max(stated, 1e-12)
+    return msgspec.structs.replace(said, mu=float(np.clip(mu, LEAST_MU, MOST_MU)))
+
+
 @shows(Identification, "files")
 def write(of: Identification, out: str | Path, force: bool = False) -> dict[str, Path]:
     """Write the corrected URDF and what belongs to it; all files or none.
@@ -279,6 +289,7 @@ def write(of: Identification, out: str | Path, force: bool = False) -> dict[str,
     with whole_folder(urdf.parent, "file", force) as folder:
         parts = {kind: folder / file.name for kind, file in files.items()}
         parts["urdf"].write_bytes(corrected_urdf(of))
+        said = with_turning(of, parts["urdf"], said)
         parts["overrides"].write_bytes(as_toml(said.stated()))
         require_same(of, parts["urdf"], said)
         parts["toml"].write_bytes(toml_of(of))

@@ -95,11 +95,20 @@ class Unknowns:
         """(joints, p) rows of T of the regressor's joints."""
         return np.array(self.regressor.massless.joints)
 
+    @cached_property
+    def dry_rows(self) -> Array:
+        """(d, p) rows of T that dry friction goes by, d: of all joints, and of the turning of a base that scrubs."""
+        p, nb = self.robot.dimensions.dof, self.robot.dimensions.base
+        return np.vstack((self.joint_rows, np.eye(p)[nb - 1 : nb] if self.robot.base.scrubs else np.zeros((0, p))))
+
     def rubbing(self, nu: Array) -> Array:
-        """Dry friction of every joint over its largest one, then what Stribeck adds, (N, joints) or twice that."""
-        speed = nu @ self.joint_rows.T
+        """Dry friction over its largest one, then what Stribeck adds to that of joints, (N, d) or (N, d + joints)."""
+        speed = nu @ self.dry_rows.T
         sign = np.tanh(speed / COULOMB_SPEED)
-        return np.hstack((sign, sign * np.exp(-((speed / self.stribeck) ** 2)))) if self.stribeck else sign
+        if not self.stribeck:
+            return sign
+        joints = slice(len(self.joint_rows))
+        return np.hstack((sign, sign[:, joints] * np.exp(-((speed[:, joints] / self.stribeck) ** 2))))
 
     def matrix(self, q: Array, nu: Array, nudot: Array, rubbing: Array | None = None) -> Array:
         """Columns of all parameters along a motion, (N, r, k).
@@ -116,7 +125,7 @@ class Unknowns:
         for i in range(len(rows)):
             Y[:, i, first + i] = not self.weighed[i]
         dry = self.rubbing(nu) if rubbing is None else rubbing
-        lever = np.tile(self.joint_rows.T[rows], (1, dry.shape[1] // len(self.joint_rows)))
+        lever = np.vstack((self.dry_rows, self.joint_rows)).T[rows][:, : dry.shape[1]]
         columns = self.columns("coulomb", "stribeck")
         Y[:, :, columns] = dry[:, None, :] * lever[None]
         Y[:, :, self.of_base] = 0.0

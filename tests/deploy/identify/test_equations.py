@@ -55,15 +55,16 @@ def made(arm: Robot) -> tuple[eq.Unknowns, eq.Equations]:
 
 
 def test_the_regressor_along_a_motion_is_pinocchios_inverse_dynamics(arm: Robot) -> None:
-    for robot in (arm, rubbing(load("platform_arm"))):
+    for robot in (arm, rubbing(load("platform_arm")), rubbing(load("tracked_arm"))):
         _, x, v, a = sines(robot, 1.0)
-        unknowns = eq.Unknowns(robot, Regressor.of(robot), tuple(range(robot.dimensions.dof)))
-        ours = unknowns.matrix(x[:, robot.dimensions.base :], v, a) @ unknowns.prior
-        np.testing.assert_allclose(ours, efforts(robot, x, v, a), atol=1e-9 * np.abs(ours).max())
+        for stribeck in (None, 0.1):  # the URDF has none of it
+            unknowns = eq.Unknowns(robot, Regressor.of(robot), tuple(range(robot.dimensions.dof)), stribeck)
+            ours = unknowns.matrix(x[:, robot.dimensions.base :], v, a) @ unknowns.prior
+            np.testing.assert_allclose(ours, efforts(robot, x, v, a), atol=1e-9 * np.abs(ours).max())
 
 
 def test_a_filtered_motion_satisfies_its_equations(arm: Robot) -> None:
-    for robot in (arm, rubbing(load("platform_arm"))):
+    for robot in (arm, rubbing(load("platform_arm")), rubbing(load("tracked_arm"))):
         unknowns, rows = set_up(robot)
         error = np.where(rows.use, rows.y - rows.Y @ unknowns.prior, 0.0)
         assert (np.sqrt((error**2).sum(axis=0) / (rows.use * rows.y**2).sum(axis=0)) < 3e-3).all()

@@ -112,6 +112,17 @@ def test_the_written_urdf_is_the_fit_and_loads_like_the_robot(found: Identificat
     np.testing.assert_allclose(report["covariance"], np.transpose(report["covariance"]), atol=1e-12)
 
 
+def test_a_base_that_scrubs_turns_as_it_was_found_to(tmp_path: Path) -> None:
+    """A URDF has no friction of the floor: its coefficient stands beside it, for the masses that were found."""
+    urdf = load("tracked_arm")
+    slippery = load("tracked_arm", mu=0.6).with_masses(1.3)
+    found = identify(urdf, simulated(slippery, 30.0, 0.01))
+    again = load(write(found, tmp_path)["urdf"])
+    assert slippery.coulomb[2] < 0.9 * urdf.coulomb[2]
+    assert again.coulomb[2] == pytest.approx(slippery.coulomb[2], rel=0.02)
+    np.testing.assert_allclose(parameters(again)[-1], found.theta[found.unknowns.labels.index("w.coulomb")])
+
+
 def test_only_inertias_and_dynamics_change_and_comments_stay(found: Identification, tmp_path: Path) -> None:
     files = write(found, tmp_path)
     before, after = found.robot.path.read_text(), files["urdf"].read_text()
