@@ -360,7 +360,7 @@ def supervisor_of(
         weights=weights,
         values=values,
         steering=steering,
-        asked=None if split is None else split.command,
+        asked=None if split is None else split.asked,
     )
 
 

@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..by_address import by_address
-from ..compiled import compiled, linked
+from ..compiled import compiled, copy_to, linked
 from ..elementary import hypot
 from ..errors import ConfigError, UnknownName
 from ..kinematic import Steering
@@ -146,6 +146,7 @@ class Split(NamedTuple):
     growth: Array  # (p,) of psi in the last sample
     integral: Array  # (p,) psi
     command: Array  # (p,) u of the last sample
+    asked: Array  # (p,) likewise, and of positions through which torques act how fast they went
     place: Array  # (n + m,) positions by integration of u, for joints that take nothing else
     # (3, p) 1 / Kp of a position servo through which torques act, 0 on other rows; its Kd; largest torque
     through: Array
@@ -264,6 +265,7 @@ def split_of(
         growth=np.zeros(p),
         integral=integral,
         command=command,
+        asked=np.zeros(p),
         place=place,
         through=through_servos(robot, kinds, servo),
         late=latency + 0.5 * period,
@@ -465,6 +467,7 @@ def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
     if stopped:
         brake(0, nb - split.masters.size, split)
         brake(nb, split.on.size, split)
+    copy_to(split.command, split.asked)
     for j in range(split.place.size):
         place_joint(row, at, j, nb, stopped, split)
     split.clock[STATE] = STOPS if stopped else 1.0
@@ -507,7 +510,7 @@ def place_joint(row: Array, at: IntArray, j: int, nb: int, stopped: bool, split:
     sent = path if split.through[0, i] == 0.0 else within_reach(path + split.through[0, i] * split.kept[i], q, j, split)
     split.place[j] = min(max(sent, before - most), before + most)
     if split.through[0, i] > 0.0:
-        split.offset[j] = split.place[j] - path
+        split.offset[j], split.asked[i] = split.place[j] - path, (split.place[j] - before) / h
         split.kept[i] = given_through(split.place[j], q, row[at[QDOT_REF] + i - nb], i, split)
 
 

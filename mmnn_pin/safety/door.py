@@ -13,7 +13,7 @@ import math
 
 from ..compiled import compiled, copy_to, internal, linked
 from ..elementary import cos_sin, nearest_turn
-from ..signals import INDEX, Array, IntArray
+from ..signals import EARLY, INDEX, Array, IntArray
 from .supervisor import (
     CONTRADICTION,
     DRIFT,
@@ -24,8 +24,12 @@ from .supervisor import (
     LOWER,
     OFFSET,
     PLAUSIBLE,
+    RARE,
+    SAME,
+    SMOOTH,
     TURN,
     UPPER,
+    USUAL,
     WITHOUT,
     Door,
     Supervisor,
@@ -65,10 +69,8 @@ def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, door
         for i in range(door.joints.shape[1]):
             place = place_of(i, measured, door)
             measured[place] = between_ends(measured[place], i, door)
-    is_news = state.good[0] == 0.0
-    for i in range(measured.size):
-        is_news = is_news or measured[i] != message[i]
-    state.news[0] += 1.0 if is_news else 0.0
+    if time != state.heard[0] and state.news[0] < 2.0:
+        state.news[0] += 2.0
     copy_to(measured, message)
     state.heard[0], state.arrived[0], state.good[0] = time, now, state.good[0] + 1.0
 
@@ -81,9 +83,7 @@ def release(time: float, supervisor: Supervisor) -> bool:
     state, door = supervisor.state, supervisor.door
     if state.good[0] == 0.0 or time - state.arrived[0] > supervisor.numbers.fresh:
         return False
-    for mark in (state.tripped, state.time, state.code, state.place, state.value, state.limit):
-        mark[0] = 0.0
-    state.commanded[0], state.acted[0], state.blind[0], state.given_up[0], state.period[0] = time, 0.0, -1.0, 0.0, 0.0
+    state.tripped[0], state.commanded[0], state.acted[0], state.period[0] = 0.0, time, 0.0, 0.0
     for i in range(door.joints.shape[1]):
         q, j = place_of(i, door.message, door), door.sense.shape[1] - door.joints.shape[1] + i
         if door.sense[OFFSET, j] != 0.0:
@@ -91,8 +91,7 @@ def release(time: float, supervisor: Supervisor) -> bool:
     for k in range(supervisor.shake.shape[0]):
         for j in range(supervisor.shake.shape[1]):
             supervisor.shake[k, j] = 0.0
-    for part in (supervisor.above, supervisor.integral, supervisor.stale):
-        part[:] = 0.0
+    supervisor.above[:] = 0.0
     for i in range(door.sense.shape[1]):
         door.sense[DRIFT, i], door.sense[WITHOUT, i], door.sense[OFFSET, i] = 0.0, 0.0, 0.0
     return True
@@ -128,14 +127,12 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
     """
     message, joints, sense, every = door.message, door.joints, door.sense, door.joints.shape[1]
     n = every - (sense.shape[1] - door.rows.shape[1])
-    nb, dt = door.rows.shape[1] - n, max(time - door.state.heard[0], 0.0)
-    keep = max(0.0, 1.0 - dt / MEMORY)
+    nb, passed = door.rows.shape[1] - n, max(time - door.state.heard[0], 0.0)
     if nb > 0:
         turning = door.eta[2] if door.eta.size else message[2 + nb]
-        ahead = min(max(dt * turning, -FARTHEST), FARTHEST)
+        ahead = min(max(passed * turning, -FARTHEST), FARTHEST)
         measured[2] = nearest_turn(measured[2], message[2] + ahead)
-        if math.isfinite(door.rows[CONTRADICTION, 0]):
-            compare_base(measured, dt, keep, nb, door)
+        take_base(measured, passed, nb, door)
     for i in range(every):
         q, j, most, before, after = place_of(i, measured, door), nb + i, joints[EXPLAINS, i], 0.0, 0.0
         if i < n:
@@ -143,6 +140,8 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
         if joints[IS_FREE, i] > 0.0:
             most = max(most, max(abs(after), abs(before)))
         most *= PLAUSIBLE
+        same = measured[q] + sense[OFFSET, j] == message[q] and after == before
+        dt = since_then(j, passed, same, door)
         before, after = min(max(before, -most), most), min(max(after, -most), most)
         if sense[OFFSET, j] != 0.0:
             measured[q] += sense[OFFSET, j]
@@ -153,12 +152,36 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
             trip(now, JUMPED, i, abs(jump), explained, door.state)
             sense[OFFSET, j] -= jump
             measured[q] = message[q]
-        sense[DRIFT, j] = keep * (sense[DRIFT, j] + unexplained(measured[q] - message[q], dt * before, dt * after))
+        drift(j, measured[q] - message[q], before, after, dt, sense)
 
 
 @internal
-def compare_base(measured: Array, dt: float, keep: float, nb: int, door: Door) -> None:
-    """By how much the pose of the base has lately changed more than its velocities say."""
+def since_then(i: int, passed: float, same: bool, door: Door) -> float:
+    """How long ago position or velocity i was measured last [s]; 0 where it is the same and its time may be, too.
+
+    A measurement is as old as its oldest part: what changed while its time stood has the age of its last change. Learns
+    how old that usually gets: more at once, less by and by.
+    """
+    sense, age = door.sense, door.sense[SAME, i]
+    is_known = passed > 0.0 and (age == 0.0 or age > door.state.waited[0] - EARLY)
+    if not same:
+        lasted = min(age, RARE)
+        sense[USUAL, i] = max(lasted, sense[USUAL, i] + SMOOTH * (lasted - sense[USUAL, i]))
+        sense[SAME, i] = 0.0
+        if door.state.news[0] != 1.0 and door.state.news[0] != 3.0:
+            door.state.news[0] += 1.0
+    return passed if is_known else 0.0 if same else age
+
+
+@internal
+def drift(i: int, step: float, before: float, after: float, dt: float, sense: Array) -> None:
+    """By how much position i has lately changed more than its velocities say, a step after."""
+    sense[DRIFT, i] = max(0.0, 1.0 - dt / MEMORY) * (sense[DRIFT, i] + unexplained(step, dt * before, dt * after))
+
+
+@internal
+def take_base(measured: Array, passed: float, nb: int, door: Door) -> None:
+    """Compare the pose of the base with its velocities."""
     message, sense = door.message, door.sense
     c, s = cos_sin(message[2])
     x, y, last = (
@@ -166,18 +189,23 @@ def compare_base(measured: Array, dt: float, keep: float, nb: int, door: Door) -
         measured[1] - message[1],
         measured.size - (sense.shape[1] - door.rows.shape[1]),
     )
+    stays = x == 0.0 and y == 0.0 and measured[2] == message[2]
     for i in range(nb):
-        step = measured[2] - message[2]
+        step, same = measured[2] - message[2], stays
         if door.masters.size and i >= nb - door.masters.size:
             place = last + door.masters[i - (nb - door.masters.size)]
             step = measured[place] - message[place]
+            same = step == 0.0
         elif door.eta.size:
             step = share_of(c * x + s * y, c * y - s * x, step, i, door)
         elif i == 0:
             step = c * x + s * y
         elif i == 1 and door.sideways:
             step = c * y - s * x
-        sense[DRIFT, i] = keep * (sense[DRIFT, i] + unexplained(step, dt * message[3 + i], dt * measured[3 + i]))
+        before, after = message[3 + i], measured[3 + i]
+        dt = since_then(i, passed, same and before == after, door)
+        if math.isfinite(door.rows[CONTRADICTION, 0]):
+            drift(i, step, before, after, dt, sense)
 
 
 @compiled

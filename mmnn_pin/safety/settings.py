@@ -31,9 +31,11 @@ from .supervisor import (
     OVER_TWIST,
     OVER_WHEEL,
     PRESSED,
+    RARE,
     SHAKING,
     TOO_SLOW,
     TOUCHED,
+    USUAL,
     Door,
     Supervisor,
     SupervisorNumbers,
@@ -239,6 +241,7 @@ class Safety(Settings, frozen=True):
         unseen = [reach_of(robot), mobility(robot), np.zeros(layout.dof) if asked is None else asked, shaken]
         *state, sense = views(new_state(layout) if values is None else values, layout)
         state[1].every[0] = state[1].every[0] or arrivals or period
+        sense[USUAL] = np.where(sense[USUAL] > 0.0, sense[USUAL], RARE)
         door = Door(measured, np.array(rows, float), state[2], state[1], sense, layout.sideways, *maps)
         return Supervisor._make(
             [True, SupervisorNumbers(*map(float, numbers)), *fixed, door, *standing, places, *unseen, *state]
@@ -329,10 +332,10 @@ def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
 def new_state(layout: Dimensions, start: float = 0.0) -> Array:
     """State of a supervisor before its first measurement at a time [s]."""
     message = layout.pose + layout.base + 2 * layout.arm + layout.shape
-    values = np.zeros(MARKS + message + 13 * layout.dof + 4 * layout.motors + 2 * layout.arm + 4 * layout.shape)
+    values = np.zeros(MARKS + message + 14 * layout.dof + 4 * layout.motors + 2 * layout.arm + 6 * layout.shape)
     state = marks_of(values)
     state.heard[0] = state.commanded[0] = start
-    state.blind[0] = -1.0
+    state.since[0], state.waited[0], state.sampled[0], state.news[0] = -math.inf, math.inf, math.inf, 3.0
     return values
 
 
@@ -340,8 +343,8 @@ def views(values: Array, layout: Dimensions) -> list[Any]:
     """A supervisor's state and views of its parts, in the order of `Supervisor`, and the sense of its door."""
     message, p, n = layout.pose + layout.base + 2 * layout.arm + layout.shape, layout.dof, layout.arm
     m = layout.motors
-    _, *parts, sight, shake, sense = np.split(values, np.cumsum([MARKS, message, p, m, n, n, p, 7 * p, 3 * m]))
-    return [values, marks_of(values), *parts, sight.reshape(7, -1), shake.reshape(3, -1), sense.reshape(4, -1)]
+    _, *parts, sight, shake, sense = np.split(values, np.cumsum([MARKS, message, p, m, n, n, p, 6 * p, 3 * m]))
+    return [values, marks_of(values), *parts, sight.reshape(6, -1), shake.reshape(3, -1), sense.reshape(6, -1)]
 
 
 def marks_of(values: Array) -> SupervisorState:

@@ -21,9 +21,9 @@ PSI_APPLIED, ROBUST = INDEX["psi_applied"], INDEX["robust"]
 RUNNING, STEPPED_IN, STOPPING, RAMPING = 0.0, 1.0, 2.0, 3.0
 TURN, LOWER, UPPER, EXPLAINS, JUMP, IS_FREE = range(6)  # of a door's joints
 CONTRADICTION, MOST = range(2)  # of its rows
-DRIFT, LEAST, WITHOUT, OFFSET = range(4)  # of its sense
+DRIFT, LEAST, WITHOUT, OFFSET, SAME, USUAL = range(6)  # of its sense
 SLOWER, SLOW, POWER = range(3)  # of what shakes
-SILENT, REPEATED, RATE, BEND, BEFORE, KNOWN, TRUSTED = range(7)  # of a supervisor's sight
+SILENT, REPEATED, RATE, BEND, BEFORE, KNOWN = range(6)  # of a supervisor's sight
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
@@ -37,6 +37,9 @@ PLAUSIBLE = 2.0  # times its limit: a velocity beyond this brakes as this
 SMOOTH = 0.3  # share of the latest acceleration, and time between measurements, in their averages
 PUSHED = 2.0  # times the velocity of the last measurement or of the reference: what moves under repeated ones
 MISSED = 2.0  # times the usual time between measurements: no silence before
+CONTRADICTS = 0.025  # of what may be gone unseen: farther, a position that stays does not belong to its velocity
+HELD = 3.0  # times the usual time for which it stays, after which that counts
+RARE = 0.25  # most that this is taken to be [s]
 FASTER, HALF = 1.25, 0.5  # times the least speed in a stop, times the limit: beyond both the stop drives it on
 
 
@@ -82,20 +85,16 @@ class SupervisorState(NamedTuple):
     bad: Array  # how many were refused
     held: Array  # 1 while a measurement that is not finite is replaced by the last good one
     refused: Array  # how many commands were refused
-    acted: Array  # 1 once a stop has noted where it began
+    acted: Array  # 1 once a stop has noted where it began, 2 once feedback did not bring the robot to rest in time
     arrived: Array  # when it came [s]
-    blind: Array  # when a stop went without feedback, -1 while it has some [s]
-    given_up: Array  # 1 once feedback did not bring the robot to rest in time
-    sampled: Array  # time of the last sample [s]
+    sampled: Array  # time of the last sample, inf before the first [s]
     period: Array  # the control period on average [s]
     last_period: Array  # the same at last
     steady: Array  # the same at last, without pauses
     in_a_row: Array  # how many periods in a row were too long
-    news: Array  # how many measurements differed from the one before
-    noted: Array  # `news` at the sample before
-    met: Array  # `good` at the sample before
-    seen: Array  # when one came last [s]
-    since: Array  # when one that differed came last [s]
+    news: Array  # what is new since one of a later time was seen: 1 its numbers, 2 its time, 3 both, else 0
+    waited: Array  # how long ago one of a later time came last, inf for never [s]
+    since: Array  # when one that differed came last, -inf for never [s]
     every: Array  # time from one to the next, on average [s]
 
 
@@ -115,8 +114,10 @@ class Door(NamedTuple):
     rows: Array
     message: Array  # the last good measurement: pose, velocity, q, qdot, shape
     state: SupervisorState  # single numbers, the supervisor's
-    # (4, p + pivots) by how much positions have lately changed more than the velocities say; least speeds since a stop
-    # began; 1 where a stop does without feedback; jumps that were taken out of the joints' positions
+    # (6, p + pivots) by how much positions have lately changed more than the velocities say; least speeds since a stop
+    # began; 1 s more than when a stop went without their feedback, 0 while it has some, -1 where that is for good;
+    # jumps that were taken out of the joints' positions; age of the last change of position or velocity, to the last
+    # bit, 0 for now, and how old it usually gets [s]
     sense: Array
     sideways: bool  # whether the base velocity is `(vx, vy, w)`
     eta: Array  # (3,) `(vx, vy, w)` of a base that steers, at the last sample; (0,) of others
@@ -152,10 +153,10 @@ class Supervisor(NamedTuple):
     above: Array  # (motors,) how long every motor has asked for more than its limit [s]
     place: Array  # (n,) where the joints are held
     integral: Array  # (n,) of their errors
-    stale: Array  # (p,) the last command of a controller that fell silent
-    # (7, p) how far velocities may have led in silence, and while measurements repeat; their bound in silence, their
-    # average acceleration, and what they were; torque that was sent before the last measurement, and by the last that
-    # differed
+    stale: Array  # (p,) the torque that was sent on the last measurement
+    # (6, p) how far velocities may have led in silence, and while measurements repeat, inf where what stands
+    # contradicts them; their bound in silence, their average acceleration, and what they were; torque that was sent
+    # before the last measurement
     sight: Array
     # (3, motors) torque that is learned behind a low-pass, what is faster behind another, and the average of the
     # squares of what is faster still
@@ -268,45 +269,70 @@ def look(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     In silence a velocity that is `nu` at the last measurement is at most `|nu| + int |a| + W |tau - tau_0| dt`: a is
     its acceleration at the last measurements, tau_0 the torque that was sent before, and W the largest |M^-1|; a servo
     reaches what it is asked for. While measurements repeat, to the last bit, a velocity that is measured or that the
-    reference has counts.
+    reference has counts. A measurement is as old as its oldest part: where its time stays, what changes is measured,
+    and all else is silent.
     """
-    state, sight, numbers = supervisor.state, supervisor.sight, supervisor.numbers
+    state, sight, sense, numbers = supervisor.state, supervisor.sight, supervisor.door.sense, supervisor.numbers
     h = numbers.h
     p, dt = sight.shape[1], max(time - state.sampled[0], 0.0)
-    nb, since, waited = p - supervisor.place.size, time - state.since[0], time - state.seen[0]
-    last_news = state.since[0]
-    is_first, is_news, silent = state.noted[0] == 0.0, state.news[0] != state.noted[0], state.good[0] == state.met[0]
-    if is_news:
-        state.since[0] = time
-    if not (is_first or silent):
+    nb, since, waited = p - supervisor.place.size, time - state.since[0], state.waited[0]
+    silent, is_news = state.news[0] < 2.0, state.news[0] == 3.0
+    if waited < math.inf and not silent:
         state.every[0] += SMOOTH * (min(waited, GAP * state.every[0]) - state.every[0])
     for i in range(p):
-        nu = row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb]
-        bend = abs(sight[BEND, i])
-        if silent:
+        nu, bend = velocity_of(row, at, i, nb), abs(sight[BEND, i])
+        if silent and sense[SAME, i] > 0.0:
             for j in range(p):
                 bend += supervisor.mobility[i, j] * abs(supervisor.last[j] - sight[KNOWN, j])
             rate = max(sight[RATE, i], abs(supervisor.asked[i]))
             sight[SILENT, i] += dt * (rate + 0.5 * dt * bend)
             sight[RATE, i] = rate + dt * bend
         else:
+            sight[SILENT, i], sight[RATE, i] = 0.0, abs(nu)
+        if state.tripped[0] == 0.0 and min(sense[SAME, i], waited) <= state.last_period[0]:
+            supervisor.stale[i] = supervisor.last[i]  # it was measured at the last sample
+        if not silent:
+            sight[KNOWN, i] = supervisor.last[i]
             speed = PUSHED * max(abs(nu), abs(referred(row, at, i, nb, supervisor)))
             sight[REPEATED, i] = 0.0 if is_news else sight[REPEATED, i] + waited * speed
-            if is_news and not is_first:
-                sight[BEND, i] += SMOOTH * ((nu - sight[BEFORE, i]) / max(since, h) - sight[BEND, i])
-            sight[SILENT, i], sight[RATE, i], sight[KNOWN, i] = 0.0, abs(nu), supervisor.last[i]
             if is_news:
+                sight[BEND, i] += SMOOTH * ((nu - sight[BEFORE, i]) / max(since, h) - sight[BEND, i])
                 sight[BEFORE, i] = nu
-        if state.sampled[0] == last_news:
-            sight[TRUSTED, i] = supervisor.last[i]
+            check_standing(time, i, abs(nu), supervisor)
         coming = sight[REPEATED, i]
         if numbers.limited > 0.0:
             coming += sight[SILENT, i] + h * (sight[RATE, i] + 0.5 * h * bend)
         if coming > supervisor.reach[i] and not is_news and since + h > MISSED * state.every[0] + EARLY:
             trip(time, BLIND, i, coming, supervisor.reach[i], state)
-    state.noted[0], state.met[0] = state.news[0], state.good[0]
+    if is_news:
+        state.since[0] = time
     if not silent:
-        state.seen[0] = time
+        state.news[0], state.waited[0] = 0.0, 0.0
+    grow_older(dt, supervisor.door)
+
+
+@internal
+def grow_older(dt: float, door: Door) -> None:
+    """Count the ages of the last measurement and of its parts on to the next sample."""
+    door.state.waited[0] += dt
+    for i in range(door.sense.shape[1]):
+        door.sense[SAME, i] += dt
+
+
+@internal
+def check_standing(time: float, i: int, speed: float, supervisor: Supervisor) -> None:
+    """Trip where a position stays the same, to the last bit, and its measured velocity does, too, which is not zero."""
+    sense, reach = supervisor.door.sense, supervisor.reach[i]
+    gone = supervisor.numbers.limited * speed * sense[SAME, i]
+    if gone > CONTRADICTS * reach and sense[SAME, i] > HELD * sense[USUAL, i] + EARLY:
+        supervisor.sight[REPEATED, i] = math.inf
+        trip(time, BLIND, i, gone, reach, supervisor.state)
+
+
+@compiled
+def velocity_of(row: Array, at: IntArray, i: int, nb: int) -> float:
+    """The measured velocity i, of the base and then of the joints."""
+    return row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb]
 
 
 @compiled
@@ -379,7 +405,7 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
     if eta.size:
         check_twist(time, hypot(eta[0], eta[1]), abs(eta[2]), numbers, state)
     for i in range(nb + n):
-        speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
+        speed = abs(velocity_of(row, at, i, nb))
         if at[SIDEWAYS] and i < 2 and eta.size == 0:  # the speed of a base that moves sideways, too
             speed = hypot(row[at[VELOCITY]], row[at[VELOCITY] + 1])
         if speed > speeds[i]:
@@ -420,42 +446,51 @@ def wheel_speed(row: Array, start: int, nb: int, j: int, E: Array) -> float:
 
 @internal
 def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
-    """Brake the base and hold the arm; blind, or where that does not help, let the torque go to zero."""
+    """Brake the base and hold the arm by what is measured of them.
+
+    What is not, or is not brought to rest so, gets no torque, or that of an arm's joint goes to zero in time.
+    """
     tau, state, numbers = row[at[TORQUE] : at[TORQUE + 1]], supervisor.state, supervisor.numbers
-    p, n, stale, place = tau.size, supervisor.place.size, supervisor.stale, supervisor.place
-    if time - state.time[0] > numbers.settle and moves(row, at, p, n, numbers.rest):
-        state.given_up[0] = 1.0
+    place, integral, sense, n = supervisor.place, supervisor.integral, supervisor.door.sense, supervisor.place.size
+    nb, is_first, blind = tau.size - n, state.acted[0] == 0.0, 0
+    if time - state.time[0] > numbers.settle and moves(row, at, nb, supervisor):
+        state.acted[0] = 2.0
     last = min(state.arrived[0], state.since[0]) if state.code[0] == BLIND else state.arrived[0]
-    if state.given_up[0] > 0.0 or state.good[0] == 0.0 or time - last > numbers.fresh:
-        if state.blind[0] < 0.0:
-            state.blind[0], state.acted[0] = time, 0.0
-            copy_to(supervisor.sight[TRUSTED], supervisor.last)  # not what was made of a measurement that is none
-        row[at[STATE]], left = RAMPING, numbers.ramp - (time - state.blind[0])
-        for i in range(p):  # these factors multiply to a straight line
-            tau[i] = supervisor.last[i] * left / (left + numbers.h) if left > 0.0 else 0.0
-        return
-    row[at[STATE]], state.blind[0] = STOPPING, -1.0
-    if state.acted[0] == 0.0:  # hold the arm where it is now
-        state.acted[0] = 1.0
-        for i in range(n):
-            place[i], supervisor.integral[i] = row[at[Q] + i], 0.0
-        for i in range(p):
-            stale[i] = supervisor.last[i] if state.code[0] == LOST and time == state.time[0] else 0.0
-            supervisor.door.sense[LEAST, i] = abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)])
+    nothing, old = state.acted[0] > 1.0 or state.good[0] == 0.0, time - last > numbers.fresh
+    youngest = max(state.waited[0], HALF * state.every[0]) - EARLY  # what changed since is younger than the message
+    for i in range(nb + n):
+        is_old = old and not sense[SAME, i] < min(youngest, numbers.fresh)
+        is_blind = nothing or is_old or supervisor.sight[REPEATED, i] == math.inf
+        blind += is_blind
+        if is_first and is_blind:  # not what was made of a measurement that is none
+            supervisor.last[i] = supervisor.stale[i]
+        if is_first or (sense[WITHOUT, i] > 0.0 and not is_blind):
+            sense[LEAST, i], sense[WITHOUT, i] = abs(velocity_of(row, at, i, nb)), 0.0
+            if i >= nb:  # hold the arm where it is now
+                place[i - nb], integral[i - nb] = row[at[Q] + i - nb], 0.0
+        if is_blind and sense[WITHOUT, i] == 0.0:
+            sense[WITHOUT, i] = time + 1.0
+    state.acted[0] = max(state.acted[0], 1.0)
+    row[at[STATE]] = RAMPING if blind == nb + n else STOPPING
     lose(row, at, supervisor)
     slow = min(1.0, BORNE * numbers.slowest / state.steady[0])
     fade = max(0.0, numbers.ramp - (time - state.time[0])) / (numbers.ramp + numbers.h)
-    for i in range(p - n):
-        speed = plausible(row[at[VELOCITY] + i], i, supervisor.door)
-        brake = 0.0 if numbers.short > 0.0 else -supervisor.gains[i] * speed
-        tau[i] = (fade * stale[i] + slow * brake) * trust(i, supervisor.door)
-    for i in range(n):
-        e, j = place[i] - row[at[Q] + i], p - n + i
-        if supervisor.above[supervisor.above.size - n + i] == 0.0 or e * supervisor.integral[i] < 0.0:
-            supervisor.integral[i] += numbers.h * numbers.hold_rate * e
-        K = supervisor.K[i] if slow == 1.0 else min(supervisor.K[i], BORNE / state.steady[0])
-        hold = K * (e + supervisor.integral[i]) - plausible(row[at[QDOT] + i], j, supervisor.door)
-        tau[j] = (fade * stale[j] + slow * supervisor.gains[j] * hold) * trust(j, supervisor.door)
+    for i in range(nb + n):
+        if sense[WITHOUT, i] > 0.0:  # these factors multiply to a straight line; no weight moves a base
+            left = numbers.ramp - (time + 1.0 - sense[WITHOUT, i])
+            tau[i] = supervisor.last[i] * left / (left + numbers.h) if left > 0.0 and i >= nb else 0.0
+            continue
+        hold, k = -plausible(velocity_of(row, at, i, nb), i, supervisor.door), i - nb
+        if k < 0 and numbers.short > 0.0:
+            hold = 0.0
+        if k >= 0:
+            e = place[k] - row[at[Q] + k]
+            if supervisor.above[supervisor.above.size - n + k] == 0.0 or e * integral[k] < 0.0:
+                integral[k] += numbers.h * numbers.hold_rate * e
+            K = supervisor.K[k] if slow == 1.0 else min(supervisor.K[k], BORNE / state.steady[0])
+            hold += K * (e + integral[k])
+        stale = fade * supervisor.stale[i] if state.code[0] == LOST else 0.0
+        tau[i] = (stale + slow * supervisor.gains[i] * hold) * trust(i, supervisor.door)
 
 
 @internal
@@ -467,12 +502,12 @@ def lose(row: Array, at: IntArray, supervisor: Supervisor) -> None:
     rows, sense, n = supervisor.door.rows, supervisor.door.sense, supervisor.place.size
     nb = rows.shape[1] - n
     for i in range(nb + n):
-        speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
+        speed = abs(velocity_of(row, at, i, nb))
         sense[LEAST, i] = min(sense[LEAST, i], speed)
         driven = speed > max(HALF * rows[MOST, i], FASTER * sense[LEAST, i])
         steers = min(i - (nb - supervisor.door.masters.size), nb - 1 - i) >= 0  # C compilers see no empty range so
         if (driven and not steers) or abs(sense[DRIFT, i]) > rows[CONTRADICTION, i]:
-            sense[WITHOUT, i] = 1.0
+            sense[WITHOUT, i] = -1.0
     for j in range(supervisor.wheel.size):
         turned, drives = 0.0, 0.0
         for i in range(nb):
@@ -482,13 +517,13 @@ def lose(row: Array, at: IntArray, supervisor: Supervisor) -> None:
         driven = turning > max(HALF * supervisor.wheel[j], FASTER * turned)
         if driven and drives > 0.0 and math.isfinite(rows[CONTRADICTION, 0]):  # what only steers has its own row
             for i in range(nb):
-                sense[WITHOUT, i] = 1.0
+                sense[WITHOUT, i] = -1.0
 
 
 @compiled
 def trust(i: int, door: Door) -> float:
     """Share of a velocity's feedback that is left: less, the more position and velocity contradict each other."""
-    if door.sense[WITHOUT, i] > 0.0:
+    if door.sense[WITHOUT, i] < 0.0:
         return 0.0
     return max(0.0, 1.0 - abs(door.sense[DRIFT, i]) / door.rows[CONTRADICTION, i])
 
@@ -501,12 +536,13 @@ def plausible(velocity: float, i: int, door: Door) -> float:
 
 
 @compiled
-def moves(row: Array, at: IntArray, p: int, n: int, rest: float) -> bool:
-    """Whether a measured velocity is not at rest."""
+def moves(row: Array, at: IntArray, nb: int, supervisor: Supervisor) -> bool:
+    """Whether a velocity that is measured is not at rest."""
     fastest = 0.0
-    for i in range(p):
-        fastest = max(fastest, abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)]))
-    return fastest > rest
+    for i in range(nb + supervisor.place.size):
+        if supervisor.door.sense[WITHOUT, i] <= 0.0:
+            fastest = max(fastest, abs(velocity_of(row, at, i, nb)))
+    return fastest > supervisor.numbers.rest
 
 
 @compiled

@@ -37,11 +37,11 @@ class Window:
     speed: float
 
 
-def window(robot: Robot, controller: str, timeout: float | None) -> Window:
-    """A run whose sensors fall silent."""
+def window(robot: Robot, controller: str, timeout: float | None, more: Sequence[str] = ()) -> Window:
+    """A run whose sensors fall silent, unless more settings say otherwise."""
     lost = f'disturbances=[{{type="messages", fault="lost", start={SILENT}}}]'
     limits = "safety.stop_time=0.05" if timeout is None else f"safety.timeout={timeout}"
-    experiment = load_experiment("track", overrides=[f"time.duration={SILENT + SECONDS}", lost, limits])
+    experiment = load_experiment("track", overrides=[f"time.duration={SILENT + SECONDS}", lost, limits, *more])
     return measured(robot, experiment.loop(robot, controller).run())
 
 
@@ -55,14 +55,14 @@ def measured(robot: Robot, run: Recording) -> Window:
     return Window(float(run.time[seen] - run.time[heard]), base, joint, speed)
 
 
-def table_of(robot: str, controllers: Sequence[str]) -> Table:
+def table_of(robot: str, controllers: Sequence[str], more: Sequence[str]) -> Table:
     """What the controllers do on a robot."""
     model, rows = load(robot), list[Row]()
     columns = [Column(robot, text=True)]
     for group in ("as it is", "timeout = 0.5"):
         columns += [Column(head, unit, group) for head, unit in HEADS]
     for name in controllers:
-        both = [window(model, name, timeout) for timeout in (None, 0.5)]
+        both = [window(model, name, timeout, more) for timeout in (None, 0.5)]
         cells = ((1e3 * one.time, 1e3 * one.base, one.joint, one.speed) for one in both)
         rows.append(row_of(name, *(number(value) for each in cells for value in each)))
     return Table(robot, tuple(columns), tuple(rows))
@@ -73,8 +73,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--robots", nargs="+", default=ROBOTS)
     parser.add_argument("--controllers", nargs="+", default=("pd", "pd_gravity", "two_layer", "adaptive", "learned"))
+    parser.add_argument("--set", nargs="+", default=[], help="settings, such as other disturbances")
     given = parser.parse_args(arguments)
-    print(terminal_text([table_of(robot, given.controllers) for robot in given.robots], False, 120))
+    print(terminal_text([table_of(robot, given.controllers, given.set) for robot in given.robots], False, 120))
 
 
 if __name__ == "__main__":

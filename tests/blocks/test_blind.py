@@ -24,7 +24,8 @@ from mmnn_pin.torque.entries import ENTRIES
 ROBOTS = ["platform_arm", "two_axis_arm", "swerve_arm"]
 CONTROLLERS = {"pd_gravity": True, "adaptive": True, "learned": False}  # by name: whether it takes servos
 EFFORT = ("effort", "effort")
-SERVOS = [EFFORT, ("velocity", "effort"), ("velocity", "velocity"), ("velocity", "position")]
+STIFF = ("velocity", "position of known stiffness")
+SERVOS = [EFFORT, ("velocity", "effort"), ("velocity", "velocity"), ("velocity", "position"), STIFF]
 QUICK = [
     ("platform_arm", "adaptive", EFFORT),
     ("platform_arm", "pd_gravity", ("velocity", "position")),
@@ -62,8 +63,9 @@ def interfaces(robot: Robot, servos: tuple[str, ...]) -> list[str]:
     if servos == EFFORT:
         return []
     wheels = robot.actuator_names[: robot.dimensions.motors - robot.dimensions.arm]
-    kinds = {joint: servos[joint not in wheels] for joint in robot.actuator_names}
-    return ["interfaces={" + ", ".join(f'"{joint}"="{kind}"' for joint, kind in kinds.items()) + "}"]
+    kinds = {joint: servos[joint not in wheels].split()[0] for joint in robot.actuator_names}
+    stiff = ["servo.stiffness=200.0", "servo.damping=5.0"] if servos == STIFF else []
+    return ["interfaces={" + ", ".join(f'"{joint}"="{kind}"' for joint, kind in kinds.items()) + "}", *stiff]
 
 
 def gone(robot: Robot, step: np.ndarray) -> float:
@@ -129,7 +131,7 @@ LIMITS = Safety(torque="urdf", joint_error=0.5, position_error=0.5)
 
 
 def samples(controller: str, safety: Safety, deaf: float, kind: str) -> Iterator[tuple[Stepper, IdealPlant]]:
-    """Samples of a robot in motion, whose measurements stop or repeat from a time on [s]."""
+    """Samples of a robot in motion, whose measurements or parts of them stop, repeat or get old from a time on [s]."""
     overrides = [f"time.control_period={H}", f"time.plant_step={H}"]
     stepper = Stepper.of(load_experiment("track", overrides=overrides).loop(ROBOT, controller), safety=safety)
     plant = IdealPlant(ROBOT, H, "implicit_friction")
@@ -138,31 +140,39 @@ def samples(controller: str, safety: Safety, deaf: float, kind: str) -> Iterator
     motion = stepper.plan(Trajectory.of(ROBOT, base=Line(speed=0.3), arm=arm), 5.0)
     last = None
     for k in range(round((deaf + 0.8) / H)):
+        position, nu = plant.position.copy(), plant.nu.copy()
+        now = Measurement(position[:3], nu[:2], position[ROBOT.arm_index], nu[2:])
         if k * H <= deaf:
-            position, nu = plant.position.copy(), plant.nu.copy()
-            last = Measurement(position[:3], nu[:2], position[ROBOT.arm_index], nu[2:])
-        taken = last if k * H <= deaf or kind == "repeated" else None
-        command = stepper.step(k * H, taken, motion if k == 0 else None)
+            last = now
+        base, arm = now if "arm" in kind else last, now if "base" in kind else last
+        taken = None if kind == "silent" and last is not now else Measurement(base.pose, base.velocity, arm.q, arm.qdot)
+        measured = min(k * H, deaf) if " is silent" in kind else None
+        command = stepper.step(k * H, taken, motion if k == 0 else None, measured=measured)
         yield stepper, plant
         plant.step(product(ROBOT.E, command.motor_effort))
         plant.refresh()
 
 
-@pytest.mark.parametrize("kind", ["silent", "repeated"])
+@pytest.mark.parametrize(
+    "kind", ["silent", "repeated", "arm is silent", "base is silent", "arm repeats", "base repeats"]
+)
 @pytest.mark.parametrize("controller", ["pd_gravity", "adaptive"])
 def test_on_a_robot_silent_sensors_and_messages_that_repeat_are_seen_before_it_went_far(controller, kind) -> None:
-    went, speed = [], 0.0
+    """A part that is measured may move on; then it comes to rest by what is measured."""
+    went, speed, seen = [], 0.0, np.array(["arm" in kind] * 3 + ["base" in kind] * 4)
     for stepper, plant in samples(controller, LIMITS, 0.5, kind):
         if stepper.time < 0.5:
             start = plant.position.copy()
         if not stepper.tripped:
-            went.append(gone(ROBOT, plant.position - start))
+            went.append(gone(ROBOT, np.where(seen, 0.0, plant.position - start)))
         else:
             speed = max(speed, np.abs(plant.nu).max())
-            if stepper.time > 0.5 + LEAST:
+            if kind in ("silent", "repeated") and stepper.time > 0.5 + LEAST:
                 assert stepper.row[stepper.setup.layout.where("safety")] == RAMPING
-    assert stepper.tripped and 0.3 < max(went) < 1.0
+    assert stepper.tripped and (0.3 if "silent" in kind else 0.0) < max(went) < 1.0
     assert speed < 8.0  # on what was asked of frozen measurements this arm comes to 60 rad/s
+    assert np.abs(plant.nu[:2]).max() < 0.02 or "arm" not in kind
+    assert np.abs(plant.nu[2:]).max() < 0.2 or "base" not in kind
     assert "no new measurement says where" in stepper.finish().outcome.message
 
 
@@ -182,8 +192,8 @@ class Still:
         loop = load_experiment("track", overrides=overrides).loop(ROBOT, "pid")
         self.stepper, self.k = Stepper.of(loop, safety=Safety(**more)), 0
 
-    def step(self, measurement: Measurement | None) -> bool:
-        self.stepper.step(self.k * H, measurement)
+    def step(self, measurement: Measurement | None, measured: float | None = None) -> bool:
+        self.stepper.step(self.k * H, measurement, measured=measured)
         self.k += 1
         return self.stepper.tripped
 
@@ -206,6 +216,23 @@ def test_messages_that_come_as_slowly_as_ever_are_no_silence(every) -> None:
         assert not still.step(fast if k % every == 0 else None)
     silent = [still.step(None) for _ in range(60)]
     assert silent[-1] and silent.index(True) <= max(2 * every, 0.06 / H)
+
+
+@pytest.mark.parametrize("has_stamps", [False, True])
+@pytest.mark.parametrize("every", [1, 5, 25])
+def test_a_base_may_be_measured_more_seldom_than_joints(every, has_stamps) -> None:
+    """At rest, then up to 0.5 m/s, with one message lost; joints swing, rounded as by 12 bits, or rest."""
+    still, base, measured = Still(joint_error="none", position_error="none", heading_error="none"), (0.0, 0.0), 0.0
+    x, count, lost = 0.0, math.tau / 4096, 2000 // every
+    for k in range(3000):
+        t = k * H
+        v = min(max(0.5 * (t - 2.0), 0.0), 0.5)
+        x += H * v
+        if k % every == 0 and k // every != lost:
+            base, measured = (x, v), t
+        q = np.array([count * round(0.3 * math.sin(t) / count), 0.0])
+        seen = Measurement(np.array([base[0], 0.0, 0.0]), np.array([base[1], 0.0]), q, np.array([0.024, 0.0]))
+        assert not still.step(seen, measured if has_stamps else None)
 
 
 def test_it_goes_on_after_a_silence_when_it_is_told_to() -> None:
