@@ -33,6 +33,7 @@ CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 LONGEST, DEEPEST = 1_000_000, 32  # bytes of a TOML file; levels of its tables and lists
 LARGEST = 500_000_000  # bytes of tables of numbers: logs, trajectories
 MOST = 100_000_000_000  # bytes of any file
+DENSEST, ROOM = 64, 1 << 24  # what a file unpacks to: so many times its size, and so many bytes more
 TOML = "mend it: lines are key = value, texts stand in quotes, every bracket is closed"
 PART = r"(?:\"[^\"\n]*+\"|'[^'\n]*+'|[\w-]++)"  # of a key
 DEEP_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*+{PART}(?:[ \t]*+\.[ \t]*+{PART}){{{DEEPEST},}}", re.MULTILINE)

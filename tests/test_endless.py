@@ -11,6 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -22,10 +23,12 @@ from study_files import written
 
 from mmnn_pin import PD, Feedback, Recording, load_experiment
 from mmnn_pin.cli import main
+from mmnn_pin.errors import RecordingError, RobotError
 from mmnn_pin.files import opened, read_bytes
 from mmnn_pin.lab.psi.held_out import held_out
 from mmnn_pin.lab.psi.subject import Subject
-from mmnn_pin.model.urdf.reading import audit_data
+from mmnn_pin.lab.show.identified import page
+from mmnn_pin.model.urdf.reading import audit_data, audit_file
 
 PATIENCE = 10.0  # [s] of processor time and of the clock
 FILES = ("pipe", "/dev/zero", "folder", "large")
@@ -234,6 +237,39 @@ def test_a_hundred_thousand_namespaces_are_refused_soon(encoding: str) -> None:
     document, findings = audit_data(text.encode(encoding), "x.urdf")
     assert time.process_time() - begun < 3.0 and document is None
     assert [one.code for one in findings] == ["too-many"]
+
+
+DOUBTFUL = {  # beginnings of what a search looks for to the end, again and again
+    "namespaces": ('<robot name="x" xmlns:xacro="">', ' xmlns:xacro> "', "</robot>"),
+    "robots": ("", "<robot ", " " * 10**6),
+    "comments": ("", "<!--", "<!DOCTYPE x>"),
+    "sections": ("", "<![CDATA[", "<!DOCTYPE x>"),
+    "macros": ('<robot name="x">', "<xacro:macro ", "</robot>"),
+}
+
+
+@pytest.mark.parametrize("kind", DOUBTFUL)
+def test_a_text_is_searched_in_time_that_grows_with_its_size(kind: str, tmp_path: Path) -> None:
+    begin, again, end = DOUBTFUL[kind]
+    (tmp_path / "x.urdf").write_text(begin + again * 70_000 + end)
+    begun = time.process_time()
+    with suppress(RobotError):
+        assert audit_file(tmp_path / "x.urdf")[0] is None
+    assert time.process_time() - begun < 3.0
+
+
+def test_curves_that_unpack_to_gigabytes_are_not_read(tmp_path: Path) -> None:
+    (tmp_path / "a.identified.json").write_text("{}")
+    for curves, why in (
+        (
+            lambda file: np.savez_compressed(file, time=np.zeros(10**7)),
+            "its curves unpack to far more than they should",
+        ),
+        (lambda file: file.write_bytes(b"PK\x03\x04nothing"), "BadZipFile"),
+    ):
+        curves(tmp_path / "a.identified.npz")
+        with pytest.raises(RecordingError, match=f"not an identification: .*{why}"):
+            page(tmp_path / "a.identified.json", "")
 
 
 # -- what a recording names --------------------------------------------------------------------------------------------

@@ -19,14 +19,12 @@ from typing import Any
 import h5py
 
 from ..errors import RecordingError
-from ..files import reason
+from ..files import DENSEST, ROOM, reason
 from ..settings.arguments import shortly
 from .run_file import FORMAT, FORMAT_VERSION, Arrays, SignalColumns, decode, endless_heap
 from .schema import Damaged, facts_problem, require_plain, signal_problem, time_problem
 
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_LZF}
-# Numbers that a file of a size can hold: compressed ones may be so many times larger, and room is kept for more rows.
-DENSEST, ROOM = 64, 1 << 24
 MOST_MEMBERS, MOST_NAMES = 1000, 10_000
 END = ("outcome", "outcome_time", "outcome_signal", "outcome_message")
 OURS = "name a file that `mmnn run` wrote"

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from ...elementary.arrays import unwrapped
 from ...errors import InputError, RecordingError
-from ...files import opened
+from ...files import DENSEST, ROOM, opened
 from ...model.robot import Robot
 from ...signals import Array
 from .log import Columns, Log, from_signals, is_angle
@@ -63,10 +66,50 @@ def require_bounded(path: Path) -> None:
             if at + length > size:
                 why = f"the record at byte {at - 9:,} has {length:,} bytes, the file {size:,}"
                 raise RecordingError("the bag cannot be read", why=why, fix=AGAIN, file=path)
-            if head[0] == CHUNK and (unpacked := int.from_bytes(file.read(24)[16:], "little")) > MOST_CHUNK:
-                why = f"the chunk at byte {at - 9:,} says it unpacks to {unpacked / 1e6:,.0f} MB"
-                raise RecordingError("the bag cannot be read", why=why, fix=AGAIN, file=path)
+            if head[0] == CHUNK:
+                unpacked, name = int.from_bytes(file.read(28)[16:24], "little"), file.read(length_of(file, 4))
+                if unpacked > MOST_CHUNK:
+                    why = f"the chunk at byte {at - 9:,} says it unpacks to {unpacked / 1e6:,.0f} MB"
+                    raise RecordingError("the bag cannot be read", why=why, fix=AGAIN, file=path)
+                packed = BytesIO(file.read(min(length_of(file, 8), length)))
+                require_unpacked(path, packed, name.decode(errors="replace"), unpacked, f"the chunk at byte {at - 9:,}")
             file.seek(at + length)
+
+
+def length_of(file: BinaryIO, size: int) -> int:
+    """The length that some bytes say, at most that of a chunk."""
+    return min(int.from_bytes(file.read(size), "little"), MOST_CHUNK)
+
+
+def require_unpacked(path: Path, packed: BinaryIO, form: str, most: int, what: str) -> None:
+    """Refuse what unpacks to more than so many bytes: a kilobyte may be a gigabyte, whatever its head says.
+
+    Args:
+        path: The bag's file, for the error.
+        packed: The compressed bytes.
+        form: `zstd` or `lz4`; others are not unpacked.
+        most: Bytes.
+        what: It is, for the error.
+
+    Raises:
+        RecordingError: It does.
+    """
+    if form not in ("zstd", "lz4"):
+        return
+    found = 0
+    with decoder(form).open(packed, "rb") as file:
+        while part := file.read(1 << 20):
+            found += len(part)
+            if found > most:
+                why = f"{what} unpacks to more than {most:,} bytes"
+                raise RecordingError("the bag cannot be read", why=why, fix=AGAIN, file=path)
+
+
+def decoder(form: str) -> Any:
+    """The module that unpacks `zstd` or `lz4`, as rosbags brings them."""
+    if form == "lz4":
+        return import_module("lz4.frame")
+    return import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
 
 
 @contextmanager
@@ -84,7 +127,10 @@ def reader(path: Path) -> Iterator[Any]:
         raise RecordingError("bags need rosbags", why=f"no {error.name}", fix=fix, file=path) from None
     try:
         for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-            opened(file).close()  # nothing but plain files
+            with opened(file) as content:  # nothing but plain files
+                if file.suffix == ".zstd":
+                    most = DENSEST * file.stat().st_size + ROOM
+                    require_unpacked(file, content, "zstd", most, "it")
             if file.suffix == ".mcap":
                 require_bounded(file)
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:

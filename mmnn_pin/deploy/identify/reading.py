@@ -422,6 +422,8 @@ def read_dataset(folder: Path, robot: Robot, columns: Columns) -> list[Log]:
     try:
         features = json.loads(read_bytes(folder / DATASET))["features"]
         files = sorted((folder / "data").rglob("*.parquet"))
+        if sum(map(numbers_in, map(pyarrow.parquet.ParquetFile, files))) > LARGEST / 8:
+            raise ValueError(f"it unpacks to more than {LARGEST / 1e6:g} MB")
         table = pyarrow.concat_tables([pyarrow.parquet.read_table(file) for file in files])
         time, episode = (table[name].to_numpy() for name in ("timestamp", "episode_index"))
         named = {
@@ -443,6 +445,12 @@ def read_dataset(folder: Path, robot: Robot, columns: Columns) -> list[Log]:
         from_signals(f"{folder}, episode {i}", {signal: whole[episode == i, k] for signal, k in where.items()})
         for i in np.unique(episode)
     ]
+
+
+def numbers_in(file: Any) -> int:
+    """How many values a Parquet file has in all of its columns: a kilobyte may hold a billion equal ones."""
+    groups = (file.metadata.row_group(k) for k in range(file.metadata.num_row_groups))
+    return sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
 
 
 OF_BASE = {"x.vel": "base.v", "y.vel": "base.vy", "theta.vel": "base.w"}

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from ...errors import RecordingError
-from ...files import LARGEST, opened, read_bytes
+from ...files import DENSEST, LARGEST, ROOM, opened, read_bytes
 from .figure import TRUTH, Look, add_legend, folded, new_figure, styled, svg
 from .files import HtmlPage, fill_template
 from .table import WIDTH, Cell, CellKind, Column, Table, TextLine, number, row_of, terminal_text
@@ -275,8 +278,12 @@ def page(file: Path, command: str) -> HtmlPage:
     """
     try:
         report = json.loads(read_bytes(file, LARGEST))
-        with opened(file.with_suffix(".npz")) as content, np.load(content, allow_pickle=False) as stored:
-            curves = {name: stored[name] for name in stored.files}
+        with opened(file.with_suffix(".npz")) as content, ZipFile(content) as archive:
+            if sum(part.file_size for part in archive.infolist()) > ROOM + DENSEST * os.fstat(content.fileno()).st_size:
+                raise ValueError("its curves unpack to far more than they should")
+            content.seek(0)
+            with np.load(content, allow_pickle=False) as stored:
+                curves = {name: stored[name] for name in stored.files}
         picture = {
             "svg": svg(curves_figure(curves)),
             "caption": "Motion held out; where a joint stands still it does not count.",
@@ -285,7 +292,10 @@ def page(file: Path, command: str) -> HtmlPage:
         tables += [wheels_table(report)] if report["wheels"] else []
         points = [*(f"warning: {text}" for text in report.get("warnings", ())), *unidentified(report), *report["notes"]]
         first = headline(report)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+    except (
+        *(OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError),
+        *(BadZipFile, zlib.error, MemoryError),
+    ) as error:
         fix = "run mmnn identify again"
         raise RecordingError(
             "not an identification", why=f"{type(error).__name__}: {error}", fix=fix, file=file

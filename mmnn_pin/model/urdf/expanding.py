@@ -22,10 +22,10 @@ from typing import Any
 from ...children import end_with
 from .packages import FIND, far_package
 
-MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
+MACRO = re.compile(r"<xacro:macro\s[^<>]*?name=[\"']([^\"']+)[\"']")
 BARE = {"include", "macro", "property", "if", "unless", "insert_block"}  # elements of xacro that old files have bare
 HOLDERS = {"robot", "link", "joint", "inertial", "visual", "collision", "geometry"} | {f"xacro:{name}" for name in BARE}
-USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)[\"']")
+USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^<>]*?name=[\"']([^\"']+)[\"']")
 CALLED = re.compile(r"\barg\(\s*[\"']([^\"']+)[\"']\s*\)")  # in an expression
 INVALID = r"Invalid parameter \"([^\"]+)\""
 FIRST, ARGUMENT = re.compile(r"<robot\b[^>]*>"), re.compile(r"<xacro:arg\s[^>]*>")

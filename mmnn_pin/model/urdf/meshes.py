@@ -29,7 +29,7 @@ MOST_BYTES = {".stl": 60_000_000, ".dae": 60_000_000, ".obj": 60_000_000}  # of 
 OTHER_FORMATS = {".ply": 8_000_000, ".glb": 8_000_000, ".gltf": 8_000_000, ".off": 8_000_000}  # read by trimesh
 CHUNK = 65_536  # bytes looked at, at either end of a file
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attributes", "<u2")])  # of a binary STL file
-UNIT = re.compile(rb"<unit\b[^>]*?\bmeter\s*=\s*[\"']([^\"']+)[\"']")  # of a COLLADA file
+UNIT = re.compile(rb"<unit\b[^<>]*?\bmeter\s*=\s*[\"']([^\"']+)[\"']")  # of a COLLADA file
 VERTEX = re.compile(rb"^v[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", re.MULTILINE)  # of an OBJ file
 MOST_CORNERS = 6_000_000  # of the triangles of a mesh file with all its copies
 MOST_PARTS = 10_000  # of such a file: each takes a millisecond

@@ -68,8 +68,8 @@ DEFAULT_NAMESPACE = "//*[namespace-uri() != '' and not(contains(name(), ':'))]"
 XACRO = "//*[contains(namespace-uri(), 'xacro') or starts-with(name(), 'xacro:')]"
 PREFIXED = re.compile(rb"<[^\s<>/:!?]+:")
 LONG_TAG = re.compile(rb"<[^<>!?\n]+\n[^<>]*>")
-EXPANDABLE = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
-DOCTYPE = re.compile(rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|(<!DOCTYPE)", re.DOTALL)
+EXPRESSION = re.compile(rb"[\"'][^\"']*\$[({](?!find)")  # of xacro, in the value of an attribute
+DOCTYPE = re.compile(rb"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|(<!DOCTYPE)", re.DOTALL)
 
 
 def read(
@@ -181,7 +181,8 @@ def is_xacro(path: Path, data: bytes) -> bool:
     """Whether a file needs expanding: it is called so, or has elements or expressions of xacro outside of comments."""
     first, *others = data.split(b"<!--")
     text = first + b"".join(part.partition(b"-->")[2] for part in others)
-    return path.suffix == ".xacro" or bool(EXPANDABLE.search(text))
+    root = text.find(b">", text.find(b"xmlns:xacro")) if b"xmlns:xacro" in text else -1
+    return path.suffix == ".xacro" or b"<xacro:" in text or (root >= 0 and bool(EXPRESSION.search(text, root)))
 
 
 def audit_xacro(
@@ -316,7 +317,7 @@ def syntax_finding(data: bytes, reason: str, line: int) -> Finding:
         line = undecodable_line(data) or line
         fix = 'save it as UTF-8, or declare its encoding: <?xml version="1.0" encoding="..."?>'
         return finding("encoding", line, f"its bytes are not in the encoding it declares ({reason})", fix=fix)
-    if b"<robot" in data and b"</robot" not in data and not re.search(rb"<robot[^>]*/>", data):
+    if b"<robot" in data and b"</robot" not in data and not re.search(rb"<robot[^<>]*/>", data):
         what = f"not well-formed XML ({reason}): it ends before </robot>"
         return finding("truncated", line, what, "cut off while it was written or copied?", "get the whole file")
     return finding("not-xml", line, f"not well-formed XML ({reason})", "damaged, or another format?")

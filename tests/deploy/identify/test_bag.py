@@ -11,6 +11,7 @@ from motions import simulated
 
 from mmnn_pin import load
 from mmnn_pin.cli import main
+from mmnn_pin.deploy.identify.bag import decoder
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.reading import read_logs
 from mmnn_pin.errors import RecordingError
@@ -121,3 +122,39 @@ def test_bags_without_a_motion_are_refused(
         with pytest.raises(RecordingError, match="the bag cannot be read") as error:
             read_logs([tmp_path / name], arm)
         assert "\n" not in str(error.value)
+
+
+BOMB = 50_000_000  # bytes of nothing
+TOO_LARGE = r"unpacks to (far )?more than"
+
+
+@pytest.mark.parametrize("form", ["zstd", "lz4"])
+def test_a_chunk_that_lies_about_what_it_unpacks_to_is_refused(form: str, arm: Robot, tmp_path: Path) -> None:
+    packed = decoder(form).compress(bytes(BOMB))
+    head = bytes(16) + (1000).to_bytes(8, "little") + bytes(4) + len(form).to_bytes(4, "little") + form.encode()
+    chunk = head + len(packed).to_bytes(8, "little") + packed
+    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n\x06" + len(chunk).to_bytes(8, "little") + chunk + bytes(40))
+    with pytest.raises(RecordingError, match=f"the chunk at byte 8 {TOO_LARGE} 1,000 bytes"):
+        read_logs([tmp_path / "a.mcap"], arm)
+
+
+def test_a_bag_of_a_compressed_gigabyte_is_refused(log: Log, arm: Robot, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "a.db3.zstd").write_bytes(decoder("zstd").compress(bytes(BOMB)))
+    with pytest.raises(RecordingError, match=rf"a\.db3\.zstd: error: .* it {TOO_LARGE}"):
+        read_logs([tmp_path / "bag"], arm)
+
+
+def test_a_dataset_of_a_billion_equal_numbers_is_refused(arm: Robot, tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow", reason="pip install 'mmnn_pin[export]'")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    part = pyarrow.table({"timestamp": np.zeros(10**7, np.float32)})
+    for name in ("data", "meta"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "meta" / "info.json").write_text('{"features": {}}')
+    with parquet.ParquetWriter(tmp_path / "data" / "a.parquet", part.schema) as writer:
+        for _ in range(7):
+            writer.write_table(part)
+    assert (tmp_path / "data" / "a.parquet").stat().st_size < 10**7
+    with pytest.raises(RecordingError, match=f"{TOO_LARGE} 500 MB"):
+        read_logs([tmp_path], arm)
