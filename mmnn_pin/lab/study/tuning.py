@@ -11,10 +11,11 @@ import hashlib
 import json
 import math
 import shlex
+import sqlite3
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -29,6 +30,7 @@ from ...errors import ConfigError, MmnnError, StudyError, keyed
 from ...files import locked
 from ...loop.loop import Loop
 from ...sensing import Sensor
+from ...settings.arguments import shortly
 from ...signals import Array, IntArray
 from ...torque.neural import Neural
 from ..experiments.config import value_at
@@ -382,6 +384,7 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            require_tables(file)
             storage = optuna.storages.RDBStorage(f"sqlite:///{file.absolute()}")
             trials = optuna.create_study(study_name="tune", storage=storage, direction="minimize", load_if_exists=True)
             if trials.user_attrs not in ({}, asked):
@@ -407,6 +410,23 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
         if storage is not None:
             storage.remove_session()
             storage.engine.dispose()
+
+
+def require_tables(file: Path) -> None:
+    """Refuse a database that has more than tables and indexes: a view or a trigger is a program, which may never end.
+
+    Raises:
+        StudyError: With its name.
+        sqlite3.Error: It is none.
+    """
+    if not file.is_file():
+        return
+    others = "SELECT name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'"
+    with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=rw", uri=True)) as base:
+        found = base.execute(others).fetchone()
+    if found:
+        what = f"the database has {shortly(found[0])}, which is no table"
+        raise StudyError(what, why="a view or a trigger is run as it is read", fix=AGAIN, file=file)
 
 
 def passed(error: BaseException) -> set[str]:

@@ -199,6 +199,24 @@ def test_what_no_search_wrote_into_a_database_ends_it_in_one_line(change: str, t
     assert f"the database cannot be used: {BROKEN[change]}" in said and "internal error" not in said
 
 
+ENDLESS = "WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r)"
+PROGRAMS = {
+    "a view": f"ALTER TABLE trials RENAME TO t; CREATE VIEW trials AS {ENDLESS} SELECT t.* FROM t, r WHERE n < 0",
+    "a trigger": f"CREATE TRIGGER t BEFORE UPDATE ON trials BEGIN {ENDLESS} SELECT n FROM r; END",
+}
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_database_that_would_run_a_program_is_refused(program: str, tmp_path: Path, capsys) -> None:
+    file, more = written(tmp_path, TUNE), ("--set", "tune.trials=1", "--set", "tune.check=0")
+    tuned(file, *more, capsys=capsys)
+    with closing(sqlite3.connect(tmp_path / NAME)) as db, db:
+        db.executescript(PROGRAMS[program])
+    assert main(["tune", str(file), "--out", str(tmp_path), "--workers", "1", *more]) == 2
+    said = capsys.readouterr().err
+    assert "the database has 't" in said and "no table: a view or a trigger is run as it is read" in said
+
+
 def test_a_database_that_keeps_nothing_ends_the_search_in_one_line(tmp_path: Path, capsys) -> None:
     """Its study has another number than its trials are filed under: a damaged row."""
     file, more = written(tmp_path, TUNE), ("--set", "tune.trials=1", "--set", "tune.check=0")
