@@ -24,7 +24,16 @@ with each factor within [0, 1]. The first is the share of the prediction that fi
 variance of that share over its square, had it been found of so many independent equations: what fits by chance counts
 for nothing. As said_i is of the reference, the noise of velocities, which biases theta by Phi_f and by K s in the
 torque, does not confirm itself. Where motors have limits Psi_hat takes of them what the feedback leaves, whatever was
-learned (`torque.law`). Nothing is claimed of theta.
+learned (`torque.law`).
+
+What no robot of this file can be is no robot: a hand that is held, a wall. theta stays where
+
+    sum_j (theta_j - theta_0j)^2 / P_0jj <= `BELIEVED`^2,
+
+P_0 the doubt of the start, that of what the end carries times `HEAVY`^2. Where equations lead out of that ball, theta
+is scaled back to its rim, and b is 0: what was learned counts for nothing until it has predicted anew. So for any data
+what is learned says at most `BELIEVED` times the standard deviation that the file's doubt has for that motion. Nothing
+more is claimed of theta.
 """
 
 from __future__ import annotations
@@ -61,6 +70,8 @@ SAMPLES = 300  # of random motion
 MEMORY = 5.0  # time over which predictions are compared [s]
 EQUATIONS = 10.0  # that count as independent among those of `MEMORY` seconds
 MOVES = 0.9  # part of the low-pass's time in which a velocity has to have moved
+BELIEVED = 8.0  # how far theta may be from the file, over the doubt in it
+HEAVY = 3.0  # times that for what an arm's end carries
 LOAD, REACH = 0.1, 0.1  # what an arm may carry, as a share of its mass, and how far out [m]
 WIDE = 10.0  # standard deviation of Psi on random motion, over K, of what nothing is known of
 
@@ -293,12 +304,36 @@ def predict(a: Learned, o: LearnedParts) -> None:
         o.expected[i] = alpha
         for j in range(k if alpha > 0.0 else 0):
             o.W[0, j] += e / alpha * b[j]
+    believe(a, o)
     drift(a, o, int(o.counts[1]) % k, a.drift * time * k)
     o.counts[1] += 1.0
     for c in range(k - p, k):
         drift(a, o, c, a.change * time)
     for c in range(a.carrying.size):
         drift(a, o, a.carrying[c], a.load * time)
+
+
+@internal
+def believe(a: Learned, o: LearnedParts) -> None:
+    """Scale theta back to what its file's doubt allows; what one beyond that has predicted then counts no more."""
+    square = 0.0
+    for j in range(o.D.size):
+        square += apart(a, o, j)
+    for c in range(a.carrying.size):
+        square -= (1.0 - 1.0 / (HEAVY * HEAVY)) * apart(a, o, a.carrying[c])
+    if not square > BELIEVED * BELIEVED:
+        return
+    part = BELIEVED / math.sqrt(square)
+    for j in range(o.D.size):
+        o.W[0, j] = a.theta0[j] + part * (o.W[0, j] - a.theta0[j])
+    o.agrees[1] = 0.0
+
+
+@compiled
+def apart(a: Learned, o: LearnedParts, j: int) -> float:
+    """Square of how far number j of theta is from the file, over its first variance."""
+    x = o.W[0, j] - a.theta0[j]
+    return x * x / o.prior[j] if o.prior[j] > 0.0 else 0.0
 
 
 @compiled

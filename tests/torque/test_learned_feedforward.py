@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 from numba import config
 from robots import fixed_arm, mobile_arm
@@ -19,7 +21,9 @@ from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Context
 from mmnn_pin.torque.feedforward import Feedforward, FeedforwardSettings, forward
 from mmnn_pin.torque.learned import (
+    BELIEVED,
     EQUATIONS,
+    HEAVY,
     MOVES,
     LearnedFeedforward,
     LearnedParts,
@@ -57,24 +61,55 @@ def test_before_it_has_learned_it_is_feedforward(robot):
         np.testing.assert_allclose(row[layout.where("psi_hat")], psi, rtol=1e-10, atol=1e-10 * np.abs(psi).max())
 
 
-def test_its_estimate_is_that_of_a_dense_filter_and_stands_where_a_velocity_stands():
-    """`W += P phi e / (R + phi' P phi)` row by row with a dense P; the second velocity does not move."""
+def beyond_belief(a, o, W):
+    """How far a W (k,) is from the file, over what its doubt allows."""
+    z = (W - a.theta0)[o.prior > 0.0] / np.sqrt(o.prior[o.prior > 0.0])
+    z[np.isin(np.flatnonzero(o.prior > 0.0), a.carrying)] /= HEAVY
+    return np.linalg.norm(z) / BELIEVED
+
+
+@pytest.mark.parametrize(("size", "leaves"), [(1.0, False), (10.0, True)])
+def test_its_estimate_is_that_of_a_dense_filter_and_stands_where_a_velocity_stands(size, leaves):
+    """`W += P phi e / (R + phi' P phi)` row by row with a dense P, then back to the rim; the second velocity stands."""
     _, a, state = bench(fixed_arm(3), drift=0.0, change=0.0, load=0.0)
     o, rng, K = state.view(LearnedParts), np.random.default_rng(1), a.gain
-    W, P, still = o.W[0].copy(), np.diag(o.D), 1
+    W, P, still, left = o.W[0].copy(), np.diag(o.D), 1, False
     o.moving[:] = 1.0
     o.moving[still] = 0.99 * MOVES
     for _ in range(20):
-        Phi, Y = rng.standard_normal((3, W.size)), 10.0 * rng.standard_normal(3)
-        o.filtered.Phi_f[:], o.filtered.Y_f[:], o.counts[6] = Phi, Y, float(a.every)
+        Phi, Y = rng.standard_normal((3, W.size)), size * rng.standard_normal(3)
+        o.filtered.Phi_f[:], o.filtered.Y_f[:], o.counts[6] = Phi, Y + Phi @ a.theta0, float(a.every)
         predict(a, o)
         for i in (0, 2):
             phi = Phi[i] / K[i]
             gain = P @ phi / (a.noise + phi @ P @ phi)
-            W = W + gain * (Y[i] / K[i] - W @ phi)
+            W = W + gain * (o.filtered.Y_f[i] / K[i] - W @ phi)
             P = P - np.outer(gain, phi @ P)
+        beyond = max(beyond_belief(a, o, W), 1.0)
+        W, left = a.theta0 + (W - a.theta0) / beyond, left or beyond > 1.0
+    assert left == leaves
     np.testing.assert_allclose(o.W[0], W, rtol=1e-6, atol=1e-9 * np.abs(W).max())
     assert share(o, still) == o.agrees[:, still].max() == 0.0 < o.agrees[0, 0]
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-3.0, 8.0), st.floats(-3.0, 8.0))
+def test_whatever_it_is_told_it_believes_no_robot_that_its_file_cannot_be(seed, torques, features):
+    """Torques and features of any size; what it says then is within so many deviations of what the file leaves open."""
+    _, a, state = bench(fixed_arm(3))
+    o, rng = state.view(LearnedParts), np.random.default_rng(seed)
+    o.moving[:] = 1.0
+    for _ in range(10):
+        o.filtered.Phi_f[:] = 10.0**features * rng.standard_normal((3, o.D.size))
+        o.filtered.Y_f[:], o.counts[6] = 10.0**torques * rng.standard_normal(3), float(a.every)
+        predict(a, o)
+        beyond = beyond_belief(a, o, o.W[0])
+        assert beyond < 1.0 + 1e-9
+        if beyond > 1.0 - 1e-9:
+            assert share(o, 0) == share(o, 1) == share(o, 2) == 0.0
+    allowed = o.prior.copy()
+    allowed[a.carrying] *= HEAVY**2
+    phi = rng.standard_normal(o.D.size)
+    assert abs(phi @ (o.W[0] - a.theta0)) <= BELIEVED * np.sqrt(phi @ (allowed * phi)) * (1.0 + 1e-9)
 
 
 def predictions(beyond, said, rate):
@@ -131,7 +166,7 @@ def test_what_was_learned_counts_as_far_as_it_has_predicted(factor, expected):
     layout, a, state = bench(fixed_arm(3), noise=1e6)  # so sure of nothing that it learns no more
     o, rng = state.view(LearnedParts), np.random.default_rng(2)
     o.moving[:] = 1.0
-    learned = 0.3 * rng.standard_normal(a.theta0.size)
+    learned = 0.3 * np.sqrt(o.prior) * rng.standard_normal(a.theta0.size)
     o.W[0] = a.theta0 + learned
     for _ in range(50):
         Phi = rng.standard_normal((3, learned.size))
@@ -205,6 +240,26 @@ def test_differences_of_coarse_encoders_teach_it_nothing_that_harms():
         run = experiment.loop(robot, experiment.controller(name, robot=robot)).run()
         errors[name] = np.sqrt(np.mean(run["true_e"][run["time"] > 4.0] ** 2))
     assert errors["learned"] < 1.05 * errors["feedforward"]
+
+
+def errors_along(robot, masses, disturbance):
+    """Errors of the arm (samples, n) with `feedforward` and with `learned`, and times."""
+    said = [f"robot={robot}", f"masses={masses}", "reference.arm.amplitude=0.1", f"disturbances=[{disturbance}]"]
+    experiment = load_experiment("track", said)
+    made = experiment.load_robot()
+    runs = [experiment.loop(made, experiment.controller(name, robot=made)).run() for name in ("feedforward", "learned")]
+    return [np.abs(run["true_e"]).max(axis=1) for run in runs], runs[0]["time"]
+
+
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="seconds of control samples")
+@settings(max_examples=6)
+@given(st.floats(0.8, 1.2), st.floats(250.0, 2000.0), st.floats(1.0, 5.0))
+def test_a_hand_that_was_held_is_thrown_no_further_than_without_learning(masses, grip, held):
+    """A door holds the hand of an arm without `[touch]`, for a while, and lets it go."""
+    door = f'{{type="door",grip={grip:.0f},start=3.0,end={3.0 + held:.2f}}}'
+    (plain, ours), time = errors_along("panda", round(masses, 2), door)
+    free = time > 3.0 + held
+    assert ours.max() < 1.1 * plain.max() + 0.03 and ours[free].max() < 1.1 * plain[free].max() + 0.03
 
 
 def test_its_table_is_one_of_an_experiment():
