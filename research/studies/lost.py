@@ -184,9 +184,9 @@ UNSEEN: dict[str, tuple[str, ...]] = {  # after `learned` had been mended by a c
     "leaned on for 6 s": (
         "robot=ur10", HEAVY, 'disturbances=[{type="push",on="shoulder_lift_joint",force=-90.0,start=2.0,end=8.0}]'
     ),
-    "a load slips, goes, comes": (
-        "robot=xarm7", 'disturbances=[{type="payload",mass=2.0,start=2.0,end=3.0},'
-        '{type="payload",mass=2.0,start=3.0,end=5.0,at=[0.0,0.1,0.0]},{type="payload",mass=1.0,start=7.0}]'
+    "a load beside the hand is hit": (
+        "robot=xarm7", 'disturbances=[{type="payload",mass=2.0,start=2.0,end=7.0,at=[0.0,0.1,0.0]},'
+        '{type="push",on="joint1",shape="impulse",force=1.5,start=4.0}]',
     ),
     "a battery sags": (
         "robot=tracked_arm", HEAVY, "actuator.voltage=24.0", "actuator.torque_constant=6.0",
