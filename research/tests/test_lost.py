@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from mmnn_pin import load_experiment
-from research.studies.lost import CASES, FIRST, FRESH, RESUMED, Rival, cells, errors_of
+from research.studies.lost import CASES, FIRST, FRESH, RESUMED, UNSEEN, Rival, cells, errors_of
 
 
 def test_every_case_is_one_of_track() -> None:
-    assert (len(FIRST), len(FRESH), len(CASES)) == (30, 30, 60) and set(RESUMED) <= set(CASES)
+    assert (len(FIRST), len(FRESH), len(UNSEEN), len(CASES)) == (30, 30, 30, 90) and set(RESUMED) <= set(CASES)
     for said in CASES.values():
         load_experiment("track", said)
 
