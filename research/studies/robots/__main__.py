@@ -104,7 +104,7 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
             wrong = faults(entry, robot)
             options = told_by(entry, robot) if wrong and not steps else []
             told = "; ".join(wrong) or words(robot)
-            if wrong and not options and "without" in said:  # left out as a package is missing, and missed
+            if wrong and not options and said.get("without"):  # left out as a package is missing, and missed
                 return Outcome("refused", told, " ".join(steps), took)
             if not options:
                 right = "right after the command" if steps else "right"
