@@ -235,6 +235,9 @@ def part(table: dict[str, Any], kind: type[S]) -> S:
         message, _, where = str(error).partition(" - at ")
         inner = re.sub(r"^\$\.?", "", where.strip("`"))
         if not inner and (unknown := unknown_key(error)) is not None:
+            if kind is StudySettings and unknown in Experiment.__struct_fields__:
+                why, fix = "it is one of the experiment's", f"write it below [set], or as set.{unknown}"
+                raise ConfigError(f"unknown key '{unknown}'", why=why, fix=fix, key=unknown) from None
             raise UnknownName("key", unknown, kind.__struct_fields__) from None
         known = words_of({field.name: field.type for field in msgspec.structs.fields(kind)}.get(inner))
         what, fix = wrong_type(message, table.get(inner))

@@ -114,6 +114,7 @@ BAD = [
     ("points = 4", "points = 'x'", "points", "sampling.points: error: 'x' is a text: give a whole number"),
     ("points = 4", "pionts = 4", "pionts", "sampling: error: unknown key 'pionts': did you mean 'points'?"),
     ('method = "sobol"', 'method = "sobl"', "method", "sampling.method: error: Invalid enum value 'sobl'"),
+    ('title = "Short"', 'robot = "tiago"', "robot", "robot: error: unknown key 'robot': it is one of the experiment's:"),
     ('["pd", "two_layer", "computed_torque"]', "[]", "contr", "controllers: error: no controllers, so no runs"),
     ('["pd", ', '["pdd", ', "contr", "controllers: error: unknown controller 'pdd': did you mean 'pd'?"),
     ('["pd", ', '["pd", "pd", ', "contr", "controllers: error: a controller appears twice"),
@@ -150,6 +151,12 @@ BAD = [
     ('title = "Short"', "seeds = [1, 1]", "seeds", "seeds: error: a seed appears twice"),
     ('title = "Short"', "seeds = [1, 2]", "seeds", "seeds: error: the seed is a factor, too"),
 ]
+
+
+def test_a_key_of_the_experiment_stands_below_set(tmp_path: Path) -> None:
+    """As the refusal of it above `set` advises."""
+    plan = planned(tmp_path, SHORT.replace("[set]", '[set]\nrobot = "casters_arm"'))
+    assert plan.base.robot == "casters_arm"
 
 
 @pytest.mark.parametrize(("old", "new", "where", "words"), BAD)
