@@ -114,7 +114,7 @@ BAD = [
     ("points = 4", "points = 'x'", "points", "sampling.points: error: 'x' is a text: give a whole number"),
     ("points = 4", "pionts = 4", "pionts", "sampling: error: unknown key 'pionts': did you mean 'points'?"),
     ('method = "sobol"', 'method = "sobl"', "method", "sampling.method: error: Invalid enum value 'sobl'"),
-    ('title = "Short"', 'robot = "tiago"', "robot", "robot: error: unknown key 'robot': it is one of the experiment's:"),
+    ('title = "Short"', 'robot = "tiago"', "robot", "robot: error: unknown key 'robot': it is one of the"),
     ('["pd", "two_layer", "computed_torque"]', "[]", "contr", "controllers: error: no controllers, so no runs"),
     ('["pd", ', '["pdd", ', "contr", "controllers: error: unknown controller 'pdd': did you mean 'pd'?"),
     ('["pd", ', '["pd", "pd", ', "contr", "controllers: error: a controller appears twice"),
