@@ -241,7 +241,7 @@ def hardware(content: dict[str, Any]) -> Iterator[TextLine]:
     if (proposal := content.get("hardware")) is None:
         return
     which = "what is slower and coarser than most" if proposal["profile"] == UNKNOWN else proposal["profile"]
-    yield TextLine(f"By default motors give what is asked at once, up to the limits of the URDF. With {which}:")
+    yield TextLine(f"By default motors give at once what the URDF lets them. With {which}:")
     yield TextLine(f"  {proposal['run']}", whole=True)
 
 
