@@ -164,10 +164,13 @@ def test_configuration_moves_as_pinocchio_integrates():
 # --- Wheels are found on geometry -------------------------------------------------------------------------------------
 
 
-def test_hub_height_is_the_radius_of_wheels_without_a_shape():
+def test_hub_height_of_wheels_without_a_shape_is_asked_about_wheel_by_wheel_where_they_differ():
     drive = Drive(floor=0.05, radii=(0.1, 0.12), shape="")
     skid = link("skid", 0, 0, SPHERE.format(r=0.01), origin(p=(-0.2, 0, 0.06)))
-    robot = robot_of(drive.urdf(ARM + skid + joint("weld", "fixed", "base", "skid", p=(0, 0, 0))))
+    text = drive.urdf(ARM + skid + joint("weld", "fixed", "base", "skid", p=(0, 0, 0)))
+    with pytest.raises(RobotError, match=r"wheel_radii beside the file: \['left=0.1', 'right=0.12'\] if so"):
+        robot_of(text)
+    robot = robot_of(text, wheel_radii=("left=0.1", "right=0.12"))
     assert [w.radius for w in robot.base.wheels] == pytest.approx([0.1, 0.12])
 
 
@@ -190,7 +193,10 @@ def test_meshes_that_are_missing_remote_damaged_or_outside_are_not_needed(tmp_pa
     trimesh.creation.cylinder(radius=0.08, height=0.03).export(tmp_path / "outside.stl")
     skid = link("skid", 0, 0, SPHERE.format(r=0.01), origin(p=(-0.2, 0, 0.01)))
     drive = Drive(shape=f'<mesh filename="{name}"/>')
-    robot = robot_of(drive.urdf(skid + joint("weld", "fixed", "base", "skid")), folder / "r.urdf")
+    text = drive.urdf(skid + joint("weld", "fixed", "base", "skid"))
+    with pytest.raises(RobotError, match="--radius 0.1 if so"):
+        robot_of(text, folder / "r.urdf")
+    robot = robot_of(text, folder / "r.urdf", radius=0.1)
     assert [w.radius for w in robot.base.wheels] == pytest.approx([0.1, 0.1])
 
 

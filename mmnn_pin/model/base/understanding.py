@@ -211,8 +211,9 @@ def understood(rest: AtRest, overrides: Overrides, asks: bool = True) -> BaseRes
     require_used(overrides, result.base)
     drives = named if overrides.wheels is not None and overrides.base != "fixed" else candidates.wheels
     seen = {c.joint.name: c for c in (*candidates.wheels, *candidates.limited, *named)}
+    untold = [c for c in drives if c.joint.name not in overrides.radius_of]
     notes = [
-        *base_notes(rest, result.base, drives, candidates.floor, overrides.radius is not None),
+        *base_notes(rest, result.base, untold, candidates.floor, overrides.radius is not None),
         *heading_notes(rest, result.base, list(seen.values()), overrides),
         *second_opinions(rest, result.base, drives, overrides),
     ]
