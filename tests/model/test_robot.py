@@ -168,7 +168,7 @@ def test_hub_height_of_wheels_without_a_shape_is_asked_about_wheel_by_wheel_wher
     drive = Drive(floor=0.05, radii=(0.1, 0.12), shape="")
     skid = link("skid", 0, 0, SPHERE.format(r=0.01), origin(p=(-0.2, 0, 0.06)))
     text = drive.urdf(ARM + skid + joint("weld", "fixed", "base", "skid", p=(0, 0, 0)))
-    with pytest.raises(RobotError, match=r"wheel_radii beside the file: \['left=0.1', 'right=0.12'\] if so"):
+    with pytest.raises(RobotError, match=r"--wheel-radii left=0.1 --wheel-radii right=0.12 if so"):
         robot_of(text)
     robot = robot_of(text, wheel_radii=("left=0.1", "right=0.12"))
     assert [w.radius for w in robot.base.wheels] == pytest.approx([0.1, 0.12])
@@ -194,7 +194,7 @@ def test_meshes_that_are_missing_remote_damaged_or_outside_are_not_needed(tmp_pa
     skid = link("skid", 0, 0, SPHERE.format(r=0.01), origin(p=(-0.2, 0, 0.01)))
     drive = Drive(shape=f'<mesh filename="{name}"/>')
     text = drive.urdf(skid + joint("weld", "fixed", "base", "skid"))
-    with pytest.raises(RobotError, match="--radius 0.1 if so"):
+    with pytest.raises(RobotError, match=r"--radius 0.1 if so"):
         robot_of(text, folder / "r.urdf")
     robot = robot_of(text, folder / "r.urdf", radius=0.1)
     assert [w.radius for w in robot.base.wheels] == pytest.approx([0.1, 0.1])

@@ -109,11 +109,8 @@ def hidden_radii_note(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> 
         text = f"are these the radii, the heights of the hubs above the floor: {sizes}?"
         why = "no shape of them can be read, and such heights were off by 10 and 36 % on two public robots"
         alike = all(abs(c.radius - blind[0].radius) <= SAME_RADIUS * c.radius for c in blind)
-        so = (
-            f"--radius {blind[0].radius:.4g}"
-            if alike
-            else f"wheel_radii beside the file: {[f'{c.joint.name}={c.radius:.4g}' for c in blind]}"
-        )
+        each = " ".join(f"--wheel-radii {quote(c.joint.name)}={c.radius:.4g}" for c in blind)
+        so = f"--radius {blind[0].radius:.4g}" if alike else each
         fix = f"{so} if so, else --radius METRES, or --package-dir where their meshes are"
         yield note(rest, "base-hub-height", blind[0].joint.name, text, why, fix)
 
