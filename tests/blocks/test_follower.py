@@ -288,6 +288,19 @@ def test_a_joint_goal_is_reached_at_rest_within_speed_acceleration_and_jerk(q, q
     np.testing.assert_allclose(np.diff(table.q, axis=0), H * 0.5 * (table.qdot[1:] + table.qdot[:-1]), atol=50 * H**3)
 
 
+@pytest.mark.parametrize("acceleration", [0.0, 200.0, 1000.0])
+@pytest.mark.parametrize("speed", [-5.0, 0.0, 5.0])
+def test_a_joint_goal_after_a_setpoint_that_no_joint_follows_is_planned(speed: float, acceleration: float) -> None:
+    """The planner refuses such a start by an error of its own."""
+    pytest.importorskip("ruckig")
+    run, still = Run(robot=bounded()), np.zeros(2)
+    asked = Setpoint(np.zeros(3), still, still, np.zeros(2), np.array([0.0, speed]), np.array([0.0, acceleration]))
+    for _ in range(5):
+        run.step(asked)
+    table = run.steps(4000, JointGoal((0.2, -0.3)))
+    np.testing.assert_allclose(table.q[-1], (0.2, -0.3), atol=1e-6)
+
+
 def test_a_goal_from_rest_takes_the_time_of_the_closed_form_and_waypoints_are_passed():
     pytest.importorskip("ruckig")
     run = Run()
