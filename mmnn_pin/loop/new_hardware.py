@@ -105,8 +105,9 @@ def new_hardware(
     count = 0 if is_exact else timing.measurements
     sensors = sensor.on(robot, timing.measurement_period, count, sensor_rng, faults, sensed)
     before = (MotorSide(geared, states), FrozenEncoders(frozen, held))
-    if given is not None:  # messages of no numbers may be under way
-        values[:] = given_array("hardware_state", given, values.shape, finite=not np.isnan(faults[:, 1]).any())
+    if given is not None:  # messages of no numbers may be under way; infinite is a time that never was
+        numbers = not np.isnan(faults[:, 1]).any()
+        values[:] = given_array("hardware_state", given, values.shape, finite=numbers, endless=True)
     return Hardware(
         exact=is_exact,
         sensors=sensors._replace(effects=(*before, *sensors.effects)),

@@ -164,8 +164,8 @@ def one_or_each(
     return np.full(count, values)
 
 
-def given_array(key: str, values: Any, shape: tuple[int, ...], *, finite: bool = True) -> Array:
-    """Copy of an array that must be of a shape, and finite unless it may be otherwise.
+def given_array(key: str, values: Any, shape: tuple[int, ...], *, finite: bool = True, endless: bool = False) -> Array:
+    """Copy of an array of a shape, finite (`endless`: with infinite numbers, but numbers) unless it may be otherwise.
 
     Raises:
         ConfigError: It is not.
@@ -173,7 +173,7 @@ def given_array(key: str, values: Any, shape: tuple[int, ...], *, finite: bool =
     if not is_numeric(values):
         raise ConfigError(f"{shortly(values)} is no array", fix=f"give finite numbers of shape {shape}", key=key)
     array = np.array(values, float)
-    if array.shape != shape or (finite and not np.isfinite(array).all()):
+    if array.shape != shape or (finite and not (~np.isnan(array) if endless else np.isfinite(array)).all()):
         what = f"of shape {array.shape}" if array.shape != shape else "not finite"
         raise ConfigError(f"an array that is {what}", fix=f"give finite numbers of shape {shape}", key=key)
     return array
