@@ -261,14 +261,14 @@ def numbers(values: Array, kind: str, single: bool, per_line: int = 6) -> str:
 def definitions(functions: list[CFunction], public: Iterable[CFunction] = ()) -> list[str]:
     """Functions with their comments; compilers are kept from copying what is called from several places into each.
 
-    So they are of the supervisor's checks, which they would unroll with the loops around them. Those of controllers that
-    make a number of numbers, without a loop, are algebra, and faster where they are copied.
+    So they are of the supervisor's checks, which they would unroll with the loops around them. Functions of controllers
+    that make a number of numbers, without a loop, are algebra, and faster where they are copied.
     """
     text, made = "\n".join(function.text for function in functions), []
     for function in functions:
         is_algebra = not (function.result is None or function.uses_self or function.is_math or "for (" in function.text)
         is_one = function.name.startswith("supervisor_check_")
-        is_one = is_one or not is_algebra and len(re.findall(rf"\b{function.name}\(", text)) > 1
+        is_one = is_one or (not is_algebra and len(re.findall(rf"\b{function.name}\(", text)) > 1)
         head = f"{'' if function in public else 'static '}{'MMNN_ONCE ' if is_one else ''}{function.head}"
         made.append(f"{function.comment}\n{head}\n{{\n{function.text}\n}}\n")
     return made
