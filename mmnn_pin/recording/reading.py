@@ -137,7 +137,12 @@ def read_arrays(path: Path, where: str, rows: int | None = None) -> Arrays:
         for name, problem in examined.damage.items():
             raise RecordingError(f"{name} is damaged", why=problem, fix=AGAIN, file=path)
         rows = min(map(len, found.values()), default=0) if rows == -1 else rows
-        return {name: table[()] if rows is None else table[:rows] for name, table in found.items()}
+        return {name: native(table[()] if rows is None else table[:rows]) for name, table in found.items()}
+
+
+def native(values: Any) -> Any:
+    """Numbers of a file in this machine's order of bytes: compiled code takes no other."""
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
 
 
 def attribute(holder: Any, name: str) -> Any:

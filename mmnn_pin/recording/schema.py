@@ -88,6 +88,8 @@ def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
     period = meta.get("control_period", 1.0)
     if not (math.isfinite(period) and period > 0):
         return "control_period", f"{period} s", "use a finite number of seconds > 0"
+    if not 0 <= meta.get("seed", 0) < 2**63:
+        return "seed", f"{meta['seed']}", "use an integer from 0 to 2^63 - 1"
     return None
 
 

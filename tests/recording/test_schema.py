@@ -109,6 +109,7 @@ FOREIGN: dict[str, tuple[Change, str]] = {
         lambda file: attribute("seed", file.ref)(file),
         "its attribute 'seed' cannot be read: it is of the",
     ),
+    "a seed below 0": (attribute("seed", -5), "its attribute 'seed': -5: use an integer from 0 to 2^63 - 1"),
     "no UTF-8": (attribute("robot", b"\xff\xfe"), "its attribute 'robot' cannot be read: "),
     "no outcome": (lambda file: file.attrs.__delitem__("outcome"), "its attribute 'outcome': None: no run ends so"),
     "odd outcome": (attribute("outcome", "won"), "its attribute 'outcome': 'won': no run ends so"),
@@ -257,6 +258,44 @@ def test_a_sound_recording_and_an_old_one_have_no_damage(file, tmp_path):
     assert Recording.open(file).damage == {}
     old = Recording.open(old_recording(tmp_path / "old.h5"))
     assert old.damage == {} and len(old) == 10 and recorded_robot(old).name == "platform_arm"
+
+
+# -- plausible, and impossible ------------------------------------------------------------------------------------------
+
+
+def test_numbers_of_another_machine_are_read_in_this_ones_order(file):
+    sound = Recording.open(file)
+    numbers = {name: sound[name] for name in ("time", "z")}
+    for name, values in numbers.items():
+        changed(file, replaced(f"signals/{name}", data=values.astype(">f8")))
+    again = Recording.open(file)
+    assert again.damage == {} and all(again[name].dtype.isnative for name in numbers)
+    for name, values in numbers.items():
+        np.testing.assert_array_equal(again[name], values)
+
+
+@pytest.mark.parametrize("kind", ["damping", "coulomb", "breakaway", "stribeck"])
+def test_friction_that_drives_is_refused_with_its_name(kind, tmp_path):
+    path = changed(old_recording(tmp_path / "old.h5"), attribute("joint_friction", f'json:{{"{kind}": -1.0}}'))
+    with pytest.raises(RecordingError, match=f"'{kind}' of joint_friction is negative or not finite"):
+        recorded_robot(Recording.open(path))
+
+
+TIMES = {"ms": 1e3, "us": 1e6}
+
+
+@pytest.mark.parametrize("unit", TIMES)
+@pytest.mark.parametrize("command", ["export", "prove", "report", "replay", "identify"])
+def test_times_in_another_unit_end_no_command_in_an_internal_error(command, unit, tmp_path, capsys):
+    path = old_recording(tmp_path / "old.h5")
+    with h5py.File(path, "r+") as opened:
+        opened["signals/time"][...] *= TIMES[unit]
+    line = {
+        "export": ["--to", "csv", "--out", str(tmp_path / "x.csv")], "report": ["--html", str(tmp_path / "x.html")],
+        "replay": ["--html", str(tmp_path / "y.html")], "identify": ["--robot", "platform_arm", "--check"],
+    }.get(command, [])  # fmt: skip
+    assert main([command, str(path), *line]) in (0, 2)
+    assert "internal error" not in capsys.readouterr().err
 
 
 # -- texts are data ----------------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ...errors import InputError, MmnnError
@@ -294,10 +295,11 @@ def doubt(R: Array, prior: Prior, B: Array, inflation: float) -> tuple[Array, Ar
     The prior is `DOUBT` and `WIDE`, not the programme's: a weight that suits the prediction says nothing of the truth.
     """
     change = np.linalg.lstsq(prior.B, B, rcond=None)[0]
-    information = change.T @ (R.T @ R / inflation) @ change
-    before = np.where(prior.strength < 1, WIDE, DOUBT) ** 2
-    covariance = B @ np.linalg.inv(information + np.diag(1 / before)) @ B.T
-    spread = (B**2) @ before
+    before = np.where(prior.strength < 1, WIDE, DOUBT)
+    root = np.linalg.qr(np.vstack((R @ change / np.sqrt(inflation), np.diag(1 / before))), mode="r")
+    half = scipy.linalg.solve_triangular(root, B.T, trans="T")  # squared, an exact log's numbers would lose the prior
+    covariance = half.T @ half
+    spread = (B**2) @ before**2
     known = 1 - np.diag(covariance) / np.where(spread > 0, spread, 1.0)
     return covariance, np.clip(np.where(spread > 0, known, 0.0), 0.0, 1.0)
 

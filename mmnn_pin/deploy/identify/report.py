@@ -165,7 +165,17 @@ def total_of(of: Identification) -> dict[str, Any]:
         "mass": mass, "mass_sd": float(np.sqrt(max(C[0, 0], 0.0))), "urdf_mass": float(before[3, 3]),
         "com": centre.tolist(), "com_sd": np.sqrt(np.maximum(np.diag(spread), 0.0)).tolist(),
         "inertia": inertia.tolist(),
-    }  # fmt: skip
+    } | (driven_of(of) if robot.dimensions.base else {})  # fmt: skip
+
+
+def driven_of(of: Identification) -> dict[str, float]:
+    """What a base accelerates straight ahead [kg]: the mass, and what turns in wheels and motors over its lever^2."""
+    regressor, p = of.unknowns.regressor, of.robot.dimensions.dof
+    q, nudot = np.tile(of.robot.rest[of.robot.arm_index], (2, 1)), np.eye(2, p, k=-1)
+    still, ahead = regressor.along(q, np.zeros((2, p)), nudot)[:, 0]
+    y, k = ahead - still, regressor.size
+    spread = float(y @ of.consistent.covariance[:k, :k] @ y)
+    return {"driven": float(y @ of.theta[:k]), "driven_sd": float(np.sqrt(max(spread, 0.0)))}
 
 
 def linear_map(H: Array) -> Array:

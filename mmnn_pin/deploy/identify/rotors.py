@@ -14,6 +14,7 @@ data leave open between the two is in the bands, which allow for every rotor.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -47,10 +48,10 @@ def rotors_of(R: Array, z: Array, prior: Prior, inflation: float, choice: RotorC
     left = [*constants, *(rotors if choice == "auto" else ())]
     why: dict[str, str] = {}
     while left:
-        gains = {i: gain(R, z, prior, inflation, allowed, i) for i in left}
-        best = max(gains, key=lambda i: gains[i])
-        if gains[best] < ASKED:
+        gains = gains_of(R, z, prior, inflation, allowed, left)
+        if gains.max() < ASKED:
             break
+        best = left[int(np.argmax(gains))]
         allowed[best] = True
         left.remove(best)
         if best in rotors:
@@ -61,12 +62,17 @@ def rotors_of(R: Array, z: Array, prior: Prior, inflation: float, choice: RotorC
     return allowed, why
 
 
-def gain(R: Array, z: Array, prior: Prior, inflation: float, allowed: Bools, i: int) -> float:
-    """By how much J falls when coordinate i is free, too; 0 where it would be negative and may not."""
-    weight = np.where(np.arange(len(allowed)) < BODY * prior.bodies, 1.0 / DOUBT, LOOSE) ** 2
-    S, column = R[:, allowed], R[:, i]
-    A = S.T @ S / inflation + np.diag(weight[allowed])
-    x = np.linalg.solve(A, np.column_stack((S.T @ z, S.T @ column)) / inflation)
-    slope = float(column @ (z - S @ x[:, 0])) / inflation
-    curvature = float(column @ (column - S @ x[:, 1])) / inflation + weight[i]
-    return slope**2 / curvature if slope > 0 or not np.isfinite(prior.positive[i - BODY * prior.bodies]) else 0.0
+def gains_of(R: Array, z: Array, prior: Prior, inflation: float, allowed: Bools, left: Sequence[int]) -> Array:
+    """By how much J falls when one more coordinate is free, for each that is left; 0 where it may not be negative.
+
+    The normal equations of an exact log are singular in floating point, so columns are made orthogonal to those that
+    are free: with c and y what is left of one and of the right-hand side, J falls by `(c'y)^2 / c'c`.
+    """
+    weight = np.where(np.arange(len(allowed)) < BODY * prior.bodies, 1.0 / DOUBT, LOOSE)
+    A = np.vstack((R / np.sqrt(inflation), np.diag(weight)))
+    y = np.concatenate((z / np.sqrt(inflation), np.zeros(len(weight))))
+    Q, c = np.linalg.qr(A[:, allowed])[0], A[:, left]
+    c, y = c - Q @ (Q.T @ c), y - Q @ (Q.T @ y)
+    slope = c.T @ y
+    bounded = np.isfinite(prior.positive[np.array(left) - BODY * prior.bodies])
+    return np.asarray(np.where(bounded, np.maximum(slope, 0.0), slope) ** 2 / (c**2).sum(axis=0))
