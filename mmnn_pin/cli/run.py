@@ -243,7 +243,7 @@ def run_one(
     from ..lab.experiments.runner import run_experiment
     from ..lab.show.comparison import notes, render, render_brief
     from ..lab.show.gallery import write_pictures
-    from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
+    from ..lab.show.report.verdict import headline, lost_runs, rivals_left_out, worse_somewhere
     from ..lab.show.table import alike, hanging
 
     told = None if as_json else tell_robot
@@ -254,7 +254,8 @@ def run_one(
     pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
     def text() -> str:
-        remarks = [f"note: {note}" for note in (*worse_somewhere(result), *rivals_left_out(result), *notes(result))]
+        texts = (*lost_runs(result), *worse_somewhere(result), *rivals_left_out(result), *notes(result))
+        remarks = [f"note: {text}" for text in texts]
         files = [recording.path for recording in result.recordings.values() if recording.path]
         files += list(pictures.values())
         verdict = hanging("", headline(result), columns())

@@ -19,6 +19,7 @@ ERRORS, POSITIONS = ("pose_error.", "z.", "e."), ("pose_error.", "e.")  # signal
 FAR = 5.0  # times the median of the others, from which a run is told
 THROWN = 0.05  # least peak that is told [rad or m]
 SEEN = 1e-3  # least RMS error that a headline tells [rad or m]
+LOST = 1.0  # error of a joint [rad or m], or of the base along an axis [m], by which a run is lost, as the judge counts
 FAST = 10.0  # frequency above which a torque shakes its motor rather than moves it [Hz]
 CHATTER = 0.1  # share of the RMS of a motor's torque that is that fast, from which it is told
 
@@ -88,6 +89,16 @@ def is_far(errors: Mapping[str, Mapping[str, float]], name: str, key: str) -> bo
     """Whether a metric of a run is the peak of a position's error, large, and far above those of the others."""
     of_position = key.startswith(POSITIONS) and key.endswith(".peak")
     return of_position and errors[name][key] > max(THROWN, FAR * of_others(errors, name, key))
+
+
+def lost_places(errors: Mapping[str, float]) -> dict[str, float]:
+    """Metric to peak of the joints and axes of the base that err by `LOST` or more: no run that does so tracks.
+
+    Args:
+        errors: The metrics of a run [rad or m].
+    """
+    peaks = {key: value for key, value in errors.items() if key.startswith(POSITIONS) and key.endswith(".peak")}
+    return {key: value for key, value in peaks.items() if value >= LOST and key != "pose_error.phi.peak"}
 
 
 def rank(own: Mapping[str, float]) -> float:

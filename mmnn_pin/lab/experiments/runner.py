@@ -188,14 +188,21 @@ def sensor_notes(sensor: Sensor, robot: Robot) -> list[str]:
 
 def weak_notes(robot: Robot) -> list[str]:
     """Joints that cannot hold themselves where the robot rests."""
+    return [
+        f"{name} cannot hold itself up: {why} by the URDF: correct its effort, or --lock {name}"
+        for name, why in weak_joints(robot).items()
+    ]
+
+
+def weak_joints(robot: Robot) -> dict[str, str]:
+    """Joint to what gravity takes and its motor gives [N m or N], of those too weak to hold where the robot rests."""
     held = np.abs(robot.gravity(robot.neutral())[robot.dimensions.base :])
     efforts = dict(zip(robot.actuator_names, robot.effort_limits, strict=True))
-    return [
-        f"{name} cannot hold itself up: gravity takes {needed:.3g}, its motor gives {efforts[name]:.3g} by the URDF: "
-        f"correct its effort, or --lock {name}"
+    return {
+        name: f"gravity takes {needed:.3g}, its motor gives {efforts[name]:.3g}"
         for name, needed in zip(robot.joint_names, held, strict=True)
         if needed > efforts.get(name, np.inf)
-    ]
+    }
 
 
 def rotor_notes(robot: Robot) -> list[str]:

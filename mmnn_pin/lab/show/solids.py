@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ...model.arm import WHY
+from ...model.arm import WHY, slaves_of
 from ...model.base.steered import SteeredBase
 from ...model.robot import Robot
 from ...model.urdf.reading import parse
@@ -45,7 +45,10 @@ def roles_of(robot: Robot) -> dict[str, Role]:
     base, arm = robot.base, robot.arm
     found = {name: STILL.get(why, LOCKED) for name, why in arm.reasons.items()}
     found |= dict.fromkeys(arm.slaves, FOLLOWS)
-    found |= {name: found.get(slave.master, FOLLOWS) for name, slave in arm.slaves.items() if slave.master in found}
+    masters = slaves_of(parse(robot.urdf.encode(), robot.path))
+    for name in masters.keys() & arm.reasons.keys():
+        if arm.reasons[name] not in WHY.values():  # it stands still as its master does
+            found[name] = found.get(masters[name].master, LOCKED)
     found |= dict.fromkeys(robot.joint_names, ARM)
     found |= dict.fromkeys((*base.casters, *base.suspensions), CASTER)
     if isinstance(base, SteeredBase):

@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from ...signals import Array, IntArray
+from ..experiments.outliers import lost_places
 from .factors import Factor
 from .intervals import Interval, Mask, differ, percent, rate
 from .results import Results
@@ -302,10 +303,22 @@ def sentences(results: Results, found: Verdict) -> list[str]:
         ]
     else:
         lines = [f"Take {found.controller}: it succeeds in {own} of {total} runs."]
+    lines += lost_sentence(results, found.controller)
     rest = sorted((n for n in found.success if n != found.controller), key=lambda n: -found.success[n].value)
     if rest:
         lines.append("The others: " + "; ".join(f"{name} {percent(found.success[name])}" for name in rest) + ".")
     return [*lines, describe_region(results, found)]
+
+
+def lost_sentence(results: Results, controller: str) -> list[str]:
+    """In how many of its successes a controller is lost all the same, and the worst error; empty where in none."""
+    good = zip(results.of[controller], results.succeeded(controller), strict=True)
+    lost = [places for row, succeeded in good if succeeded and (places := lost_places(row.metrics))]
+    if not lost:
+        return []
+    peak, key = max((peak, key) for places in lost for key, peak in places.items())
+    what = f"{key} is up to {peak:.3g} {results.unit(key)}".rstrip()
+    return [f"It is lost in {len(lost)} of these all the same ({what}): bound that in `success.at_most`."]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import config
 from places import ROOT
@@ -274,6 +274,49 @@ def test_runs_that_track_alike_share_the_headline() -> None:
     assert "their RMS errors are on average 50 % smaller than those of pid, the next best" in told
     assert "within 0.5 % of one another" in found("learned", "feedforward")
     assert found("learned", "pid").startswith("learned tracks best of 2: ")
+
+
+def of_peak(peak: float, start: float = 0.0) -> Callable[..., None]:
+    """Errors of 1 mm everywhere, and the second joint's that grows linearly to `peak` from `start`."""
+
+    def change(table: np.ndarray, where) -> None:
+        of_size(0.001)(table, where)
+        for name in ("e", "true_e"):
+            table[:, where(name)][:, 1] = np.linspace(start, peak, len(table))
+
+    return change
+
+
+PEAKS = st.lists(st.floats(0.01, 0.9) | st.floats(1.0, 500.0), min_size=1, max_size=4, unique=True)
+
+
+@given(PEAKS)
+@settings(max_examples=20, deadline=None)
+def test_no_headline_praises_a_run_that_is_lost(peaks: list[float]) -> None:
+    """A joint errs by 1 rad: as the judge counts it; read from the sentences, beside the peaks that were drawn."""
+    robot, names = load("platform_arm"), ("pd_gravity", "pid", "feedforward", "learned")
+    drawn = dict(zip(names, peaks, strict=False))
+    found = verdict(result_of({name: recorded(robot, name, change=of_peak(peak)) for name, peak in drawn.items()}))
+    lost_ones, best = {name for name, peak in drawn.items() if peak >= 1}, min(drawn, key=lambda name: drawn[name])
+    told = {name for text in found.warnings if "lost: arm_2_joint" in text for name in names if name in text}
+    if lost_ones == set(drawn):
+        assert re.search(rf"{best},? is lost: arm_2_joint errs by up to ", found.headline) and not told
+        said = re.search(r"errs by up to ([0-9.e+]+) rad", found.headline)
+        assert said and float(said[1]) == pytest.approx(drawn[best], rel=0.01)
+        assert found.headline.startswith(f"None of {len(drawn)} tracks; " if len(drawn) > 1 else best)
+    else:
+        assert told == lost_ones and "lost" not in found.headline
+        assert not lost_ones & set(re.findall(r"\w+", found.headline.partition(":")[0]))
+
+
+def test_a_motor_that_cannot_hold_its_joint_is_in_the_headline_and_a_start_far_off_is_not() -> None:
+    robot = load("kinova")
+    weak = build(parse(re.sub(r'effort="[^"]*"', 'effort="0.5"', robot.urdf).encode(), "weak.urdf"))
+    told = verdict(result_of({"pid": recorded(weak, "pid", change=of_peak(120.0))})).headline
+    gravity = abs(weak.gravity(weak.neutral())[1])
+    assert f"as its motor cannot hold it (gravity takes {gravity:.3g}, its motor gives 0.5)" in told
+    assert "motor" not in verdict(result_of({"pid": recorded(robot, "pid", change=of_peak(120.0))})).headline
+    assert "lost" not in verdict(result_of({"pid": recorded(robot, "pid", change=of_peak(0.0, 2.0))})).headline
 
 
 def test_a_curve_that_lies_on_another_is_told() -> None:

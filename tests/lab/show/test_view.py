@@ -67,6 +67,8 @@ def test_every_joint_has_the_role_that_inspect_tells(tiago):
     assert roles["wheel_left_joint"] is parts.LEFT and roles["wheel_right_joint"] is parts.RIGHT
     assert roles["head_1_joint"] is parts.HEAD and roles["hand_thumb_flex_1_joint"] is parts.JAW
     assert {name for name, role in roles.items() if role is parts.ARM} == set(tiago.joint_names)
+    panda = roles_of(load("panda"))
+    assert panda["panda_finger_joint1"] is panda["panda_finger_joint2"] is parts.JAW  # the second follows the first
     held = load("tiago", lock=["arm_7_joint=0.3"])
     assert roles_of(held)["arm_7_joint"] is parts.LOCKED
 

@@ -283,6 +283,21 @@ def test_what_is_said_of_ranges_holds_in_the_map_beside_it(seed: int, count: int
     assert max(cells) < 95 or told.startswith("Within")
 
 
+@given(st.lists(st.floats(0.0, 0.99) | st.floats(1.0, 200.0), min_size=1, max_size=30))
+@settings(max_examples=60, deadline=None)
+def test_successes_that_are_lost_are_counted(peaks: list[float]) -> None:
+    """Where no bound was asked for, every run that completes is a success."""
+    results = made({"pd": np.ones(len(peaks), bool)}, {"pd": np.array(peaks)}, {"x": np.linspace(0, 1, len(peaks))})
+    lost = [peak for peak in peaks if peak >= 1]
+    for bounds in ({}, {"e.*.peak": 0.995}):  # that is the advice, followed
+        results = replace(results, settings=msgspec.structs.replace(results.settings, success=Success(at_most=bounds)))
+        told = " ".join(sentences(results, verdict(results)))
+        said = re.search(r"lost in (\d+) of these all the same \(e.joint.peak is up to ([0-9.e+]+) rad\)", told)
+        assert bool(said) == (bool(lost) and not bounds)
+        if said:
+            assert int(said[1]) == len(lost) and float(said[2]) == pytest.approx(max(lost), rel=0.01)
+
+
 def test_where_nothing_succeeds_nothing_is_recommended() -> None:
     none = np.zeros(50, bool)
     results = made({"pd": none}, {"pd": np.ones(50)}, {"x": np.linspace(0, 1, 50)})

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ....errors import InputError
 from ....loop.reductions import percent
 from ....recording.metrics import halves
-from ....recording.recording import Recording
+from ....recording.metrics import judged as judged_signal
+from ....recording.recording import Recording, as_columns, recorded_robot
+from ....signals import Array
 from ...experiments.controllers import LEARNERS, ORACLES, PLAIN, USUAL, effective
-from ...experiments.outliers import farthest, shown
+from ...experiments.outliers import LOST, farthest, lost_places, shown
 from ...experiments.result import Improvement, Result, unfair
+from ...experiments.runner import weak_joints
 from ...psi.judgement import Judgement, judgement_of, with_part
 from ...psi.psi import worst
 from ..comparison import limited, notes
@@ -61,6 +66,9 @@ def headline(result: Result) -> str:
     if any(result.pushes.values()) and (told := pushed(result)):
         return told
     scores, judged = ranking(result)
+    if judged and (where := lost_in(result, judged[0])):  # no run that is not lost is behind it
+        who = f"None of {len(judged)} tracks; the best, {judged[0]}," if len(judged) > 1 else judged[0]
+        return f"{who} is lost: {where}{too_weak(result, judged[0])}."
     if len(judged) < 2:
         return alone(result, next(iter([*judged, *result.recordings])))
     best, alike = judged[0], [name for name in judged if 1 - scores[judged[0]] / scores[name] < ALIKE]
@@ -104,6 +112,37 @@ def pushed(result: Result) -> str:
     return " ".join(sentences)
 
 
+def lost_in(result: Result, name: str) -> str:
+    """Where a run is lost, and by how much: its worst joint or axis of the base; empty where it is not."""
+    if key := worst_loss(result, name):
+        _, label, unit = column_of(result.recordings[name], key)
+        return f"{label} errs by up to {number(result.metrics[name][key])} {unit}"
+    return ""
+
+
+def worst_loss(result: Result, name: str) -> str:
+    """The metric by which a run is lost most; empty where it is not: what begins as far off is no loss."""
+    recording, places = result.recordings[name], lost_places(result.metrics[name])
+    places = {key: peak for key, peak in places.items() if abs(column_of(recording, key)[0][0]) < LOST}
+    return max(places, key=lambda key: places[key], default="")
+
+
+def column_of(recording: Recording, key: str) -> tuple[Array, str, str]:
+    """Values (k,), label and unit of the error that a peak is of, `SIGNAL.LABEL.peak`."""
+    signal, label = key.removesuffix(".peak").split(".", 1)
+    place, values = recording.labels(signal).index(label), as_columns(recording[judged_signal(recording, signal)])
+    return values[:, place], label, column_units(recording, signal)[place]
+
+
+def too_weak(result: Result, name: str) -> str:
+    """That the joint by which a run is lost most has a motor too weak to hold it; empty where that is not known."""
+    joint = worst_loss(result, name).removeprefix("e.").removesuffix(".peak")
+    with suppress(InputError):  # its robot cannot be made again
+        if why := weak_joints(recorded_robot(result.recordings[name])).get(joint):
+            return f", as its motor cannot hold it ({why})"
+    return ""
+
+
 def smaller(ratio: float, name: str) -> str:
     """How errors are beside those of a controller, by their ratio."""
     if 1 - ratio < ALIKE:
@@ -136,7 +175,8 @@ def ranking(result: Result) -> tuple[dict[str, float], list[str]]:
     """Score of every run, and the runs that may win, best first.
 
     A score is the geometric mean over all errors of the RMS in the last window, divided by that of `compared_with`.
-    Runs that know the true model, did not reach their end, or have no number do not compete.
+    Runs that know the true model, did not reach their end, or have no number do not compete, nor do lost ones where
+    one is not.
     """
     rows = [key for key in next(iter(result.metrics.values())) if key.endswith(window(result))]
     base = result.metrics[compared_with(result) or next(iter(result.metrics))]
@@ -151,7 +191,8 @@ def ranking(result: Result) -> tuple[dict[str, float], list[str]]:
         and recording.outcome.status == "completed"
         and math.isfinite(scores[name])
     ]
-    return scores, sorted(judged, key=lambda name: scores[name])
+    kept = [name for name in judged if not worst_loss(result, name)] or judged
+    return scores, sorted(kept, key=lambda name: scores[name])
 
 
 def compared_with(result: Result) -> str:
@@ -254,6 +295,7 @@ def warnings(result: Result) -> Iterator[str]:
     for name, recording in result.recordings.items():
         if recording.outcome.status != "completed":
             yield f"{run_label(name, recording)}: it does not compete."
+    yield from (f"{text}." for text in lost_runs(result))
     yield from (f"{note}." for note in notes(result))
     yield from torques(result)
     yield from unlike(result)
@@ -261,6 +303,18 @@ def warnings(result: Result) -> Iterator[str]:
     for pd, learner in effective(result.recordings).items():
         if learner in result.recordings and pd not in result.recordings:
             yield f"{learner} ran without {pd}: its gain and its learning cannot be separated."
+
+
+def lost_runs(result: Result) -> Iterator[str]:
+    """Completed runs that are lost, where another is not: those of one joint or axis together."""
+    found: dict[str, list[str]] = {}
+    for name, recording in result.recordings.items():
+        if recording.outcome.status == "completed" and (key := worst_loss(result, name)):
+            found.setdefault(key, []).append(name)
+    if sum(map(len, found.values())) < len(result.recordings):
+        for names in found.values():
+            most = max(names, key=lambda name: result.metrics[name][worst_loss(result, name)])
+            yield f"{listed(names)} {'are' if len(names) > 1 else 'is'} lost: {lost_in(result, most)}"
 
 
 def worse_somewhere(result: Result) -> Iterator[str]:
