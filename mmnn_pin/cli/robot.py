@@ -77,9 +77,7 @@ def inspect(
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. The options can also
     stand in NAME.mmnn.toml beside NAME.urdf. Exit code 2 when the robot cannot be used or its base is undecided.
     """
-    from ..lab.experiments.hardware import proposed
-    from ..lab.experiments.hardware_table import beside_urdf
-    from ..lab.experiments.track_gains import track_gains
+    from ..lab.experiments.hardware_table import beside_urdf, proposed
     from ..lab.show.robots import inspection_text, refusal_text, summary
     from ..model.base.overrides import Overrides
     from ..model.inspection import inspection_of, refusal_of
@@ -90,7 +88,11 @@ def inspect(
         require_free(picture, force)
     try:
         loaded = load(robot, **overrides)
-        content, code = inspection_of(loaded) | ({"track": track_gains(loaded)} if gains else {}), DONE
+        content, code = inspection_of(loaded), DONE
+        if gains:
+            from ..lab.experiments.track_gains import track_gains
+
+            content["track"] = track_gains(loaded)
         content["understood"] = summary(content)
         own, profile, run = beside_urdf(robot), proposed(loaded), run_command(robot, overrides)
         content["hardware"] = {"profile": own or profile, "run": run if own else f"{run} --hardware {profile}"}

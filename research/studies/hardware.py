@@ -20,8 +20,7 @@ import msgspec
 
 from mmnn_pin import load, load_experiment
 from mmnn_pin.errors import InputError
-from mmnn_pin.lab.experiments.hardware import proposed
-from mmnn_pin.lab.experiments.hardware_table import profiles
+from mmnn_pin.lab.experiments.hardware_table import profiles, proposed
 from mmnn_pin.lab.experiments.runner import require_runnable
 from mmnn_pin.model.robots import bundled, extra
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import fnmatch
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
@@ -19,7 +18,6 @@ import numpy as np
 
 from ...actuator.settings import heaviest
 from ...errors import ConfigError, UnknownName
-from ...files import read_toml
 from ...kinematic import Kinematic, by_name
 from ...loop.servo import POSITION, VELOCITY, Command, movers, own_velocities
 from ...loop.stable_gains import SHARES, holds, two_digits
@@ -29,12 +27,11 @@ from ...model.inspection import interfaces_of
 from ...model.robot import Robot, revolute
 from ...signals import Array
 from .experiment import Experiment
-from .hardware_table import HardwareTable, JointHardware, profiles
+from .hardware_table import UNKNOWN, HardwareTable, JointHardware
 
 COARSEST = 0.001  # step of the plant between samples of a slow controller [s]
 ROOM = 1.25  # times the gains of the kinematic layer that are taken, the loop bears, too
 JUDGED = "computed_torque"  # the controller whose loop is: none has more feedback inside
-UNKNOWN = "unknown"  # the profile for what has no other
 PLAIN_BANDWIDTH = 30.0  # of a servo of which nothing is said [1/s]
 OTHER = "name hardware that it has"
 WAYS_OUT = {  # profiles that may be named in place of hardware that cannot, and what they are
@@ -316,16 +313,6 @@ def borne(experiment: Experiment, robot: Robot) -> dict[str, Any]:
 def tidy(numbers: Array) -> list[float]:
     """Numbers without what floating-point numbers add to few digits."""
     return [float(f"{number:.4g}") for number in numbers]
-
-
-def proposed(robot: Robot) -> str:
-    """The profile whose robots have names like this one's or its folders', "unknown" where there is none."""
-    words = (robot.name.lower(), *(part.lower() for part in robot.path.parts[-4:]))
-    for name, path in profiles().items():
-        pattern = read_toml(path).get("robots")
-        if pattern and any(re.search(pattern, word) for word in words):
-            return name
-    return UNKNOWN
 
 
 def lines(hardware: HardwareTable) -> Iterator[str]:

@@ -6,6 +6,7 @@ It is `[hardware]` in an experiment, `ROBOT.hardware.toml` beside a URDF, or a p
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from os.path import lexists
 from pathlib import Path
@@ -15,11 +16,13 @@ import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
 from ...files import read_toml
+from ...model.robot import Robot
 from ...model.robots import find
 from ...settings import Settings, require_numbers
 from .origins import placed
 
 PROFILES = Path(__file__).parent / "profiles"
+UNKNOWN = "unknown"  # the profile for what has no other
 GROUPS = ("arm", "slides", "wheels", "steering")
 
 
@@ -151,6 +154,16 @@ class HardwareTable(Settings, frozen=True):
 def profiles() -> dict[str, Path]:
     """The profiles that come with the package, name to file."""
     return {path.stem: path for path in sorted(PROFILES.glob("*.toml"))}
+
+
+def proposed(robot: Robot) -> str:
+    """The profile whose robots have names like this one's or its folders', "unknown" where there is none."""
+    words = (robot.name.lower(), *(part.lower() for part in robot.path.parts[-4:]))
+    for name, path in profiles().items():
+        pattern = read_toml(path).get("robots")
+        if pattern and any(re.search(pattern, word) for word in words):
+            return name
+    return UNKNOWN
 
 
 def beside_urdf(robot: str) -> str | None:

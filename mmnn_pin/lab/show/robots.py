@@ -20,7 +20,7 @@ from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
 from ...settings import finite
 from ...shown import shows
-from ..experiments.hardware import UNKNOWN
+from ..experiments.hardware_table import UNKNOWN
 from .table import WIDTH, Cell, Column, Table, TextLine, alike, hanging, row_of, terminal_text
 
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"

@@ -15,8 +15,8 @@ from mmnn_pin.deploy.ros2.wiring import interfaces
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.files import read_toml
 from mmnn_pin.lab.experiments.config import read_hardware
-from mmnn_pin.lab.experiments.hardware import Fitted, lines, proposed
-from mmnn_pin.lab.experiments.hardware_table import BaseHardware, HardwareTable, JointHardware, profiles
+from mmnn_pin.lab.experiments.hardware import Fitted, lines
+from mmnn_pin.lab.experiments.hardware_table import BaseHardware, HardwareTable, JointHardware, profiles, proposed
 from mmnn_pin.lab.experiments.runner import require_runnable, run_experiment
 from mmnn_pin.loop.servo import Command
 from mmnn_pin.loop.suited import MotorLoad
