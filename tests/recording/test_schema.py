@@ -260,7 +260,7 @@ def test_a_sound_recording_and_an_old_one_have_no_damage(file, tmp_path):
     assert old.damage == {} and len(old) == 10 and recorded_robot(old).name == "platform_arm"
 
 
-# -- plausible, and impossible ------------------------------------------------------------------------------------------
+# -- plausible, and impossible -----------------------------------------------------------------------------------------
 
 
 def test_numbers_of_another_machine_are_read_in_this_ones_order(file):
