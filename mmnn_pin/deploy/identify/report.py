@@ -169,7 +169,7 @@ def total_of(of: Identification) -> dict[str, Any]:
 
 
 def driven_of(of: Identification) -> dict[str, float]:
-    """What a base accelerates straight ahead [kg]: the mass, and what turns in wheels and motors over its lever^2."""
+    """Mass that a base accelerates straight ahead [kg]: its own, and that of rotors and wheels over their lever^2."""
     regressor, p = of.unknowns.regressor, of.robot.dimensions.dof
     q, nudot = np.tile(of.robot.rest[of.robot.arm_index], (2, 1)), np.eye(2, p, k=-1)
     still, ahead = regressor.along(q, np.zeros((2, p)), nudot)[:, 0]
