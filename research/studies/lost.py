@@ -1,11 +1,12 @@
 """Is the default learner lost where plain control is not? `python -m research.studies.lost [NAME ...] [--file FILE]`.
 
 Thirty cases that a robot may meet, and a rival, were written down by those who tuned `learned`, thirty more by someone
-who had no part in that, and thirty more after it had been mended by one of these, each list before the first of it was
-run. `track` runs each case with `learned`, `feedforward` and the rival: inverse dynamics of the URDF by Pinocchio at
-the reference's posture, and an integral, as an engineer would write it. A run is lost where it does not complete, or
-where a joint errs by 1 rad, or the base by 1 m. Ratios are of errors in the second half of a run, the RMS of the arm's
-joints and of the base's position, over those of `feedforward`. Rows are kept in FILE as they come, and not run again.
+who had no part in that, thirty more after it had been mended by one of these, and thirty, with another rival, by
+someone who knew none of this, each list before the first of it was run. `track` runs each case with `learned`,
+`feedforward` and the rival: inverse dynamics of the URDF by Pinocchio at the reference's posture, and an integral, as
+an engineer would write it. A run is lost where it does not complete, or where a joint errs by 1 rad, or the base by 1
+m. Ratios are of errors in the second half of a run, the RMS of the arm's joints and of the base's position, over those
+of `feedforward`. Rows are kept in FILE as they come, and not run again.
 """
 
 from __future__ import annotations
@@ -13,13 +14,15 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
-from mmnn_pin import Measurement, Setpoint, TorqueController, load_experiment
+from mmnn_pin import Loop, Measurement, Setpoint, TorqueController, load, load_experiment
 from mmnn_pin.errors import InputError
 from mmnn_pin.lab.show.table import Column, Table, number, row_of, terminal_text
 from mmnn_pin.model.dynamics import Dynamics
@@ -252,7 +255,102 @@ UNSEEN: dict[str, tuple[str, ...]] = {  # after `learned` had been mended by a c
         '{type="push",on="panda_joint2",shape="impulse",force=4.0,start=4.0}]',
     ),
 }  # fmt: skip
-CASES = FIRST | FRESH | UNSEEN
+EVERY_DAY = ("time.control_period=0.002", "time.plant_step=0.001")
+TABLES = ",".join(f'{{type="surface",gap=0.01,start={at:.1f},end={at + 0.6:.1f}}}' for at in (1.0, 2.2, 3.4, 4.6, 5.8))
+NAPS = ",".join(f'{{type="commands",fault="lost",start={at:.1f},end={at + 0.15:.2f}}}' for at in (1.5, 3.0, 4.5, 6.0))
+REACHES = ((0, 0.3), (0, 0.2), (0, 0.15), (0, 0.3), (0, 0.3), (0, 0.3))  # of a UR: stretched, singular, most gravity
+STRETCHED = ",".join(f'{{type="sine",amplitude={a},period=4.0,offset={m:.2f},phase=1.5707963}}' for m, a in REACHES)
+EYES: dict[str, tuple[str, ...]] = {  # by someone who had no part in any of this, with `Clamped`
+    "links longer than told": ("robot=ur5", HEAVY, *EVERY_DAY),
+    "a wall that leans": ("robot=xarm7", *DRY, *EVERY_DAY),
+    "hangs from the ceiling, told it stands": ("robot=z1", *EVERY_DAY),
+    "axes 3 degrees off": ("robot=ur3", HEAVY, *FILTERED),
+    "in oil": ("robot=ur5", "friction.arm=40.0", *EVERY_DAY),
+    "kneads foam for 6 s": (
+        "robot=xarm7", *EVERY_DAY, "reference.arm.amplitude=0.15",
+        'disturbances=[{type="surface",gap=0.0,stiffness=800.0,damping=20.0,friction=0.6,start=1.0,end=7.0}]',
+    ),
+    "a table, five times": (
+        "robot=panda", HEAVY, *EVERY_DAY, "reference.arm.amplitude=0.1", f"disturbances=[{TABLES}]"
+    ),
+    "a crate that slips off": (
+        "robot=ur10", HEAVY, *EVERY_DAY, 'disturbances=[{type="payload",mass=14.0,start=2.0,end=2.6}]'
+    ),
+    "a long pipe": (
+        "robot=panda", *EVERY_DAY, "reference.arm.period=3",
+        'disturbances=[{type="payload",mass=1.0,at=[0.0,0.6,0.0],start=2.0,end=6.0}]',
+    ),
+    "sticks at every stop": (
+        "robot=z1", *STICKY[1:], "friction.coulomb=1.5", "time.control_period=0.002",
+        'reference.arm={type="points",time=[0,1,2.5,2.8,5,5.3,8,9],position=[0.3,0.6,0.6,0.5,0.5,0.7,0.7,0.3]}',
+    ),
+    "125 Hz, 8 ms late, slow currents": (
+        "robot=ur5", HEAVY, *DRY, "time.control_period=0.008", "time.plant_step=0.001", "sensor.delay=1",
+        "actuator.lag=0.01",
+    ),
+    "down a ramp of 8 degrees": (
+        "robot=platform_arm", HEAVY, *EVERY_DAY, 'reference.base={type="line",speed=0.5,ramp=1.0}',
+        'disturbances=[{type="push",on="v",force=160.0,start=2.0}]',
+    ),
+    "shoved from all sides": (
+        "robot=casters_arm", HEAVY, *EVERY_DAY,
+        'disturbances=[{type="push",on="vx",force=150.0,start=2.0,end=3.0},'
+        '{type="push",on="vy",force=-150.0,start=4.0,end=5.0},{type="push",on="w",force=60.0,start=6.0,end=6.5}]',
+    ),
+    "one motor too weak to hold": ("robot=panda", *EVERY_DAY, "actuator.torque_limit=[87,38,87,87,12,12,12]"),
+    "shaken where its gears ring": (
+        "robot=two_axis_arm", HEAVY, "actuator.gap=1e-6", "actuator.rotor_inertia=0.01", "actuator.stiffness=300.0",
+        'disturbances=[{type="push",on="arm_1_joint",shape="sine",force=2.0,frequency=27.0}]',
+    ),
+    "stretched out, elbow straight": ("robot=ur5", HEAVY, *EVERY_DAY, f"reference.arm=[{STRETCHED}]"),
+    "as fast as it can": ("robot=z1", HEAVY, *EVERY_DAY, "reference.arm.period=1.0", "reference.share=0.95"),
+    "differences of 10-bit encoders at 100 Hz": (
+        "robot=xarm7", HEAVY, "sensor.resolution=0.006", 'sensor.velocity="difference"', "time.control_period=0.01",
+        "time.plant_step=0.001",
+    ),
+    "a computer that naps": ("robot=ur3", HEAVY, *DRY, *EVERY_DAY, f"disturbances=[{NAPS}]"),
+    "a loose encoder": (
+        "robot=ur10", HEAVY, *EVERY_DAY, 'disturbances=[{type="frozen_encoder",joint="elbow_joint",start=3.0,end=3.3}]'
+    ),
+    "told to adapt at once": (
+        "robot=ur5", HEAVY, *DRY, *EVERY_DAY, "learned.drift=1.0", "learned.change=10.0", "learned.load=10.0",
+        "learned.alarm=1.5", "learned.noise=0.05", PUSH.replace("panda_joint2", "elbow_joint"),
+    ),
+    "told never to forget": (
+        "robot=panda", *EVERY_DAY, "learned.drift=0.0", "learned.change=0.0", "learned.load=0.0", "learned.alarm=0.0",
+        'disturbances=[{type="payload",mass=3.0,start=4.0,end=7.0}]',
+    ),
+    "an integral turned up, 4 ms late": (
+        "robot=ur3", HEAVY, *DRY, *EVERY_DAY, "sensor.delay=2", "learned.rate=30.0", "feedforward.rate=30.0"
+    ),
+    "a wet floor": (
+        "robot=platform_arm", HEAVY, "plant=contact", "contact.friction=0.08", "time.duration=8",
+        "time.control_period=0.002",
+    ),
+    "a wheel without current": (
+        "robot=platform_arm", HEAVY, *EVERY_DAY,
+        'disturbances=[{type="dead_motor",joint="wheel_left_joint",start=3.0,end=3.4}]',
+    ),
+    "a car's steering bent": ("robot=car_arm", HEAVY, *DRY, *EVERY_DAY, "sensor.steering_offset=0.05"),
+    "rotors that no file has": ("robot=ur10", "armature=2.0", *EVERY_DAY, "reference.arm.period=2.5"),
+    "a child swings it": (
+        "robot=ur5", HEAVY, *EVERY_DAY,
+        'disturbances=[{type="push",on="elbow_joint",shape="sine",force=40.0,frequency=0.5,start=2.0,end=7.0},'
+        '{type="push",on="shoulder_pan_joint",shape="sine",force=60.0,frequency=0.4,start=3.0,end=6.0}]',
+    ),
+    "a finger of grams": ("robot=finger_edu", "masses=0.8", *FILTERED, "time.plant_step=0.0005"),
+    "every drive scaled wrong": ("robot=panda", *EVERY_DAY, "actuator.torque_gain=[0.6,1.4,0.7,1.3,0.6,1.5,0.5]"),
+}  # fmt: skip
+TRULY: dict[str, dict[str, tuple[float, ...]]] = {  # true places of joints beside the file's [m, m, m, rad, rad, rad]
+    "links longer than told": {"elbow_joint": (0, 0, 0.06, 0, 0, 0), "wrist_1_joint": (0, 0, 0.04, 0, 0, 0)},
+    "a wall that leans": {"joint1": (0, 0, 0, 0.2, 0.1, 0)},
+    "hangs from the ceiling, told it stands": {"joint1": (0, 0, 0, np.pi, 0, 0)},
+    "axes 3 degrees off": {
+        "shoulder_lift_joint": (0, 0, 0, 0.05, 0, 0.05), "elbow_joint": (0, 0, 0, 0, 0.05, 0),
+        "wrist_1_joint": (0, 0, 0, 0.05, -0.05, 0),
+    },
+}  # fmt: skip
+CASES = FIRST | FRESH | UNSEEN | EYES
 RESUMED = {"learned light, goes on heavy": (HEAVY,)}  # what is true in a second run that begins with what was learned
 LOST = 1.0  # error of a joint or of the base [rad, m]
 
@@ -280,6 +378,47 @@ class Rival(TorqueController):
         return self.K * s + state["I"] + self.model.psi(position, nu, nu, command.nudot_ref)
 
 
+class Clamped(Rival):
+    """The same at the measured posture, its integral at 5 1/s and never more than `K` times 1 m/s or rad/s."""
+
+    name = "clamped"
+
+    def step(
+        self, time: float, reference: Setpoint, measurement: Measurement, command: VelocityCommand, state: Any
+    ) -> Array:
+        """Torque of one sample."""
+        s, position = np.concatenate((command.z, command.r)), self.robot.neutral_position()
+        position[self.robot.arm_index], position[self.robot.shape_index] = measurement.q, measurement.shape
+        state["I"] = np.clip(state["I"] + 5.0 * state["h"] * self.K * s, -self.K, self.K)
+        return self.K * s + state["I"] + self.model.psi(position, command.nu_ref, command.nu_ref, command.nudot_ref)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Mistold(Loop):
+    """A loop whose robot is not as its file has it."""
+
+    truth: Robot
+
+    @property
+    def true(self) -> Robot:
+        """The true robot."""
+        return self.truth
+
+
+def truth_of(robot: Robot, moved: dict[str, tuple[float, ...]]) -> Robot:
+    """A robot as its file describes it, with these joints moved beside their places there."""
+    root = ElementTree.fromstring(robot.urdf)
+    for joint in root.iter("joint"):
+        if joint.get("name") in moved and (origin := joint.find("origin")) is not None:
+            by = iter(moved[joint.get("name", "")])
+            for key in ("xyz", "rpy"):
+                place = [float(x) for x in origin.get(key, "0 0 0").split()]
+                origin.set(key, " ".join(str(x + next(by)) for x in place))
+    with TemporaryDirectory() as folder:
+        (file := Path(folder) / "true.urdf").write_bytes(ElementTree.tostring(root))
+        return load(file)
+
+
 def judged(name: str, controller: str) -> dict[str, Any]:
     """The outcome of a case with a controller: why it is lost, empty where it is not, and errors of arm and base."""
     try:
@@ -292,7 +431,11 @@ def judged(name: str, controller: str) -> dict[str, Any]:
         if controller == "rival":
             file = load_experiment("track", CASES[name][:1]).load_robot()
             assert isinstance(loop.controller, CompiledController)
-            loop = replace(loop, controller=Rival(file, loop.controller.feedback.vector(robot.dimensions)))
+            kind = Clamped if name in EYES else Rival
+            loop = replace(loop, controller=kind(file, loop.controller.feedback.vector(robot.dimensions)))
+        if name in TRULY:
+            said = {one.name: getattr(loop, one.name) for one in fields(Loop) if one.init}
+            loop = Mistold(**said, truth=experiment.made_true(truth_of(robot, TRULY[name])))
         run = loop.run()
         if name in RESUMED and controller != "rival":
             other = load_experiment("track", heavy)

@@ -9,23 +9,48 @@ import numpy as np
 import pytest
 
 from mmnn_pin import load_experiment
-from research.studies.lost import CASES, FIRST, FRESH, RESUMED, UNSEEN, Rival, cells, errors_of
+from research.studies.lost import (
+    CASES,
+    EYES,
+    FIRST,
+    FRESH,
+    RESUMED,
+    TRULY,
+    UNSEEN,
+    Clamped,
+    Rival,
+    cells,
+    errors_of,
+    truth_of,
+)
 
 
 def test_every_case_is_one_of_track() -> None:
-    assert (len(FIRST), len(FRESH), len(UNSEEN), len(CASES)) == (30, 30, 30, 90) and set(RESUMED) <= set(CASES)
+    lists = FIRST, FRESH, UNSEEN, EYES
+    assert [len(one) for one in lists] == [30] * 4 and len(CASES) == 120 and set(RESUMED) | set(TRULY) <= set(CASES)
     for said in CASES.values():
         load_experiment("track", said)
 
 
-def test_the_rival_is_the_model_of_the_file() -> None:
+def test_a_true_robot_is_not_where_its_file_has_it() -> None:
+    """Upside down gravity is the other way round; without a moved joint nothing changes."""
+    file = load_experiment("track", ["robot=z1"]).load_robot()
+    q = np.linspace(0.3, 0.8, 6)
+    hung = truth_of(file, TRULY["hangs from the ceiling, told it stands"])
+    assert np.abs(file.gravity(q)).max() > 1.0
+    assert hung.gravity(q) == pytest.approx(-file.gravity(q), abs=1e-9)
+    assert truth_of(file, {}).gravity(q) == pytest.approx(file.gravity(q), abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", [Rival, Clamped])
+def test_the_rival_is_the_model_of_the_file(kind: type[Rival]) -> None:
     """Where that is right, and sensors are exact, it errs by little; with other masses by more."""
     errors = []
     for said in ((), ("masses=1.3",)):
         experiment = load_experiment("track", ["robot=panda", *said, "time.duration=1.0"])
         robot, file = experiment.load_robot(), load_experiment("track", ["robot=panda"]).load_robot()
         loop = experiment.loop(robot, experiment.controller("feedforward", robot=robot))
-        rival = Rival(file, loop.controller.feedback.vector(robot.dimensions))
+        rival = kind(file, loop.controller.feedback.vector(robot.dimensions))
         errors.append(errors_of(replace(loop, controller=rival).run(), robot))
     assert [one["lost"] for one in errors] == ["", ""]
     assert 20.0 * errors[0]["arm"] < errors[1]["arm"]
