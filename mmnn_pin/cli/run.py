@@ -254,8 +254,8 @@ def run_one(
     pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
     def text() -> str:
-        texts = (*lost_runs(result), *worse_somewhere(result), *rivals_left_out(result), *notes(result))
-        remarks = [f"note: {text}" for text in texts]
+        found = (*lost_runs(result), *worse_somewhere(result), *rivals_left_out(result), *notes(result))
+        remarks = [f"note: {remark}" for remark in found]
         files = [recording.path for recording in result.recordings.values() if recording.path]
         files += list(pictures.values())
         verdict = hanging("", headline(result), columns())
