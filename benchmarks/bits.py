@@ -52,7 +52,7 @@ SENSED = (
 )  # fmt: skip
 LEARNERS = (
     "two_layer", "one_layer", "adaptive", "adaptive_composite", "concurrent", "kalman_regressor",
-    "kalman_bilinear", "kalman_features", "computed_torque", "extended_state", "deep_residual", "drem",
+    "kalman_bilinear", "kalman_features", "computed_torque", "extended_state",
 )  # fmt: skip
 ROBOTS = {"holonomic": "tiago_pro", "fixed": "ur5", "tiago": "tiago"}
 

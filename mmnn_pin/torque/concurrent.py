@@ -20,10 +20,9 @@ tracking term; Psi_hat is bounded by the motors' limits (`torque.law`).
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -178,8 +177,8 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
 
 
 @internal
-def respond(row: Array, at: IntArray, a: Any, w: Array) -> None:
-    """Psi_hat, gain and |w| of one sample, for a learner with `known`, `basis`, `theta0`, `gain`, `Phi` and `psi0`."""
+def respond(row: Array, at: IntArray, a: History, w: Array) -> None:
+    """Psi_hat, gain and |w| of one sample."""
     nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
     velocity, qdot = row[at[VELOCITY] : at[Q]], row[at[QDOT] : at[QDOT + 1]]
     pose, q, shape = row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], row[at[SHAPE] : at[SHAPE + 1]]
@@ -188,7 +187,7 @@ def respond(row: Array, at: IntArray, a: Any, w: Array) -> None:
 
 
 @internal
-def has_equation(row: Array, at: IntArray, a: Any, samples: Array, seen: Filtered) -> bool:
+def has_equation(row: Array, at: IntArray, a: History, samples: Array, seen: Filtered) -> bool:
     """Take the last period into the filter of torque and features; whether an equation is due that it gives."""
     f, now = a.filter, int(samples[0]) % a.every == 0
     samples[0] += 1.0
@@ -281,11 +280,63 @@ KERNELS[History] = Kernels(estimate, settle)
 
 
 @dataclass(frozen=True, eq=False)
-class CombinationLearner(ParameterLearner):
-    """A learner of the combinations w of a robot's parameters that matter, by equations of filtered torque.
+class Concurrent(ParameterLearner):
+    """`tau = Y theta_hat + K s`, theta_hat by concurrent learning; see above for what holds.
 
-    Args and errors are those of `ParameterLearner`; its settings have a `spread`.
+    Args and errors are those of `ParameterLearner`.
     """
+
+    settings: ConcurrentSettings = field(default_factory=ConcurrentSettings)
+    name: str = "concurrent"
+
+    def law(self, context: Context) -> Law:
+        """The numbers of the law, with room of its own to work in.
+
+        Raises:
+            ConfigError: A gain of 0: noise is measured by the gains.
+        """
+        K, own, h = self._gains, self.settings, float(context.control_period)
+        p, k = K.size, self.dimension
+        history = History(
+            known=self.regressor.workspace(),
+            basis=self.basis,
+            theta0=self.start(),
+            filter=new_filter(context, own.pole),
+            gain=K,
+            precision=1.0 / (own.noise * K),
+            learning=self.learning,
+            h=h,
+            every=max(1, round(own.every / h)),
+            rate=float(own.rate),
+            tracking=float(own.tracking),
+            share=self.answer(context, SHARE),
+            radius=RADIUS * float(np.sqrt(k)),
+            growth=float(own.growth),
+            lifetime=float(own.lifetime) if own.lifetime else np.inf,
+            floor=own.floor,
+            Phi=np.zeros((p, k)),
+            psi0=np.zeros(p),
+            y=np.zeros(p),
+            gradient=np.zeros(k),
+            target=np.zeros(k),
+            scratch=scratch(own.entries, p, k),
+            layout=layout_of(Recalled, self.shapes(context)),
+        )
+        return Law(constant_gain(K), history)
+
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """The estimate, what the filter remembers, and the stack."""
+        p, k = context.layout.dof, self.dimension
+        stack = stack_shapes(self.settings.entries, p, k)
+        return {"w": (k,), "samples": (1,), **parts(context, p, k), **stack}
+
+    def init(self, context: Context) -> ControllerState:
+        """The estimate at its start, and an empty stack."""
+        state = super().init(context)
+        state["L"] = state["P"] = np.eye(self.dimension)
+        state["F"] = HALF * np.eye(self.dimension)
+        state["born"] = -1.0
+        return state
 
     @property
     def notes(self) -> list[str]:
@@ -297,9 +348,9 @@ class CombinationLearner(ParameterLearner):
         """Number of combinations that matter, k."""
         return self._typical[1].shape[1]
 
-    @abstractmethod
     def known(self, state: ControllerState) -> Array:
-        """The covariance of w as the equations have it, (k, k), with a prior of 1."""
+        """P, (k, k): the covariance of w as the equations have it, with a prior of 1."""
+        return state["P"]
 
     @property
     def basis(self) -> Array:
@@ -387,67 +438,3 @@ class CombinationLearner(ParameterLearner):
         """Where `theta - theta_0` lies in the directions that matter."""
         root, directions = self._typical
         return product(directions.T, solve(root, theta - self.start()))
-
-
-@dataclass(frozen=True, eq=False)
-class Concurrent(CombinationLearner):
-    """`tau = Y theta_hat + K s`, theta_hat by concurrent learning; see above for what holds.
-
-    Args and errors are those of `ParameterLearner`.
-    """
-
-    settings: ConcurrentSettings = field(default_factory=ConcurrentSettings)
-    name: str = "concurrent"
-
-    def law(self, context: Context) -> Law:
-        """The numbers of the law, with room of its own to work in.
-
-        Raises:
-            ConfigError: A gain of 0: noise is measured by the gains.
-        """
-        K, own, h = self._gains, self.settings, float(context.control_period)
-        p, k = K.size, self.dimension
-        history = History(
-            known=self.regressor.workspace(),
-            basis=self.basis,
-            theta0=self.start(),
-            filter=new_filter(context, own.pole),
-            gain=K,
-            precision=1.0 / (own.noise * K),
-            learning=self.learning,
-            h=h,
-            every=max(1, round(own.every / h)),
-            rate=float(own.rate),
-            tracking=float(own.tracking),
-            share=self.answer(context, SHARE),
-            radius=RADIUS * float(np.sqrt(k)),
-            growth=float(own.growth),
-            lifetime=float(own.lifetime) if own.lifetime else np.inf,
-            floor=own.floor,
-            Phi=np.zeros((p, k)),
-            psi0=np.zeros(p),
-            y=np.zeros(p),
-            gradient=np.zeros(k),
-            target=np.zeros(k),
-            scratch=scratch(own.entries, p, k),
-            layout=layout_of(Recalled, self.shapes(context)),
-        )
-        return Law(constant_gain(K), history)
-
-    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
-        """The estimate, what the filter remembers, and the stack."""
-        p, k = context.layout.dof, self.dimension
-        stack = stack_shapes(self.settings.entries, p, k)
-        return {"w": (k,), "samples": (1,), **parts(context, p, k), **stack}
-
-    def init(self, context: Context) -> ControllerState:
-        """The estimate at its start, and an empty stack."""
-        state = super().init(context)
-        state["L"] = state["P"] = np.eye(self.dimension)
-        state["F"] = HALF * np.eye(self.dimension)
-        state["born"] = -1.0
-        return state
-
-    def known(self, state: ControllerState) -> Array:
-        """P, (k, k)."""
-        return state["P"]

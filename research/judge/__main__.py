@@ -88,7 +88,8 @@ def kept(file: Path) -> list[Row]:
 def wanted_of(options: argparse.Namespace) -> list[Wanted]:
     """What `rows_of` takes for all that is asked for, draw after draw over all robots."""
     said, found = preregistered(), []
-    baseline, judged = said["controllers"]["baseline"], options.controllers or said["controllers"]["judged"]
+    baseline = said["controllers"]["baseline"]
+    judged = options.controllers or [name for name in said["controllers"]["judged"] if name in CONTROLLERS]
     names = (baseline, *(name for name in judged if name != baseline))
     for plant in options.plants:
         file = said["robots"] | {"draws": said["draws"]} if plant == "judge" else on_contact()

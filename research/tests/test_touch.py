@@ -7,8 +7,8 @@ import pytest
 from mmnn_pin.touch import Touch
 from research.studies.touch import against_a_wall, thrown
 
-LEARNERS = ("learned", "feedforward", "adaptive", "adaptive_composite", "concurrent", "drem", "two_layer")
-LEARNERS += ("kalman_bilinear", "deep_residual", "super_twisting", "pid")
+LEARNERS = ("learned", "feedforward", "adaptive", "adaptive_composite", "concurrent", "two_layer")
+LEARNERS += ("kalman_bilinear", "super_twisting", "pid")
 SELDOM = "super_twisting", "pid"  # feel the wall for 86 % of the time
 
 

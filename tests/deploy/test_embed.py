@@ -86,8 +86,6 @@ def exported(tmp_path_factory):
         (
             "computed_torque",
             "two_layer",
-            "deep_residual",
-            "drem",
             "adaptive_composite",
             "kalman_friction",
             "feedforward",

@@ -134,7 +134,7 @@ def test_every_signal_is_that_of_the_ordinary_loop(name):
 
 LEARNERS = [
     *("kalman_regressor", "kalman_bilinear", "kalman_features", "kalman_residual", "concurrent", "adaptive"),
-    *("adaptive_composite", "deep_residual", "drem", "two_layer_residual", "own"),
+    *("adaptive_composite", "two_layer_residual", "own"),
 ]
 QUICK = [  # so that all of them learn within 0.1 s
     *(f"kalman.{table}.state_pole=1000.0" for table in ("regressor", "bilinear", "features", "residual")),

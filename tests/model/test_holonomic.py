@@ -236,7 +236,7 @@ def test_mecanum_follows_an_eight_while_it_turns(kind, engine):
 
 LEARNERS = [
     *("kalman_regressor", "kalman_bilinear", "kalman_features", "kalman_residual", "concurrent", "adaptive"),
-    *("adaptive_composite", "deep_residual", "drem", "two_layer_residual"),
+    *("adaptive_composite", "two_layer_residual"),
 ]
 
 

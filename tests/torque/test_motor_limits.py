@@ -24,7 +24,7 @@ ROBOT = load("platform_arm")
 E_INV = np.linalg.pinv(ROBOT.E)
 LEARNERS = (
     *("two_layer", "one_layer", "two_layer_residual", "adaptive", "adaptive_composite"),
-    *("concurrent", "kalman_regressor", "kalman_features", "deep_residual", "drem"),
+    *("concurrent", "kalman_regressor", "kalman_features"),
 )
 SMALL = np.array([3.0, 3.0, 12.0, 8.0])  # [N m]: the feedback takes part of it, and leaves too little for Psi
 numbers = st.floats(-1e4, 1e4) | st.sampled_from([0.0, 1e-300, 1e12, -1e12])

@@ -146,7 +146,7 @@ def test_a_batch_has_the_bits_of_one(learner):
         np.testing.assert_array_equal(one.recording["torque"], made.run()["torque"])
 
 
-@pytest.mark.parametrize("learner", ["deep_residual", "drem", "kalman_friction", "concurrent"])
+@pytest.mark.parametrize("learner", ["kalman_friction", "concurrent"])
 def test_runs_resume(learner):
     """A run that stops in the middle and goes on from its memory ends as one that does not, bit for bit."""
     whole = loop("truck_trailer_arm", learner)

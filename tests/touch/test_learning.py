@@ -17,7 +17,7 @@ from mmnn_pin.touch import Touch
 
 SLOW = bool(config.DISABLE_JIT)
 LEARNERS = ("two_layer", "one_layer", "kalman_regressor", "pid", "extended_state")
-LEARNERS = LEARNERS if SLOW else (*LEARNERS, "adaptive", "learned", "concurrent", "drem", "deep_residual")
+LEARNERS = LEARNERS if SLOW else (*LEARNERS, "adaptive", "learned", "concurrent")
 
 
 FAST = {"pid": ("pid.rate=5",), "extended_state": ("extended_state.bandwidth=5",)}  # what suits this loop is none

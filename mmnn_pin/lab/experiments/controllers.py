@@ -40,7 +40,8 @@ PLAIN = tuple(name for name, entry in ENTRIES.items() if entry.baseline and NOMI
 USUAL = ("pd_gravity", "pid", "feedforward")
 # What an experiment runs unless it says.
 DEFAULT = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
-GONE = ("prediction", "replay", "two_layer_composite", "disturbance_observer")  # learners of older recordings
+# Learners of older recordings.
+GONE = ("prediction", "replay", "two_layer_composite", "disturbance_observer", "drem", "deep_residual")
 
 
 def effective(controllers: Iterable[str]) -> dict[str, str]:

@@ -7,8 +7,6 @@ from ...torque.adaptive import AdaptiveSettings
 from ...torque.adaptive_composite import AdaptiveCompositeSettings
 from ...torque.classical import PIDSettings
 from ...torque.concurrent import ConcurrentSettings
-from ...torque.deep_residual import DeepResidualSettings
-from ...torque.drem import DremSettings
 from ...torque.extended_state import ExtendedStateSettings
 from ...torque.feedforward import FeedforwardSettings
 from ...torque.kalman_settings import (
@@ -50,7 +48,5 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     adaptive: AdaptiveSettings = AdaptiveSettings()
     adaptive_composite: AdaptiveCompositeSettings = AdaptiveCompositeSettings()
     concurrent: ConcurrentSettings = ConcurrentSettings()
-    drem: DremSettings = DremSettings()
-    deep_residual: DeepResidualSettings = DeepResidualSettings()
     kalman: KalmanTables = KalmanTables()
     learned: LearnedSettings = LearnedSettings()

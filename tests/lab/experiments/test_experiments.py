@@ -439,7 +439,8 @@ def test_every_learner_has_its_table() -> None:
 
 def test_a_recording_of_learners_that_are_no_more_is_read() -> None:
     old = json.loads(load_experiment("track", ["controllers=['pd']"]).to_json())
-    old |= {"two_layer_composite": {"rate": 1.0}, "controllers": ["pd", "two_layer_composite"]}
+    gone = {"two_layer_composite": {"rate": 1.0}, "drem": {"rate": 1.0}}
+    old |= gone | {"controllers": ["pd", *gone]}
     for names, kept in ((old["controllers"], ("pd",)), (["two_layer_composite"], DEFAULT)):
         text = json.dumps(old | {"controllers": names})
         experiment = recorded_experiment(SimpleNamespace(config_text=text, path=None))

@@ -85,9 +85,11 @@ def test_noise_of_encoders_alone_leaves_velocities_exact_and_it_is_said(sensor: 
 
 def test_runs_that_shake_one_motor_are_told_in_one_sentence_with_their_count() -> None:
     calm = {name: {"a": 0.01, "b": 0.02} for name in ("pd", "pid", "feedforward", "two_layer")}
-    shaken = {"drem": {"a": 0.5, "b": 0.2}, "kalman": {"a": 0.3, "b": 0.0}, "learned": {"a": 0.0, "b": 0.4}}
+    shaken = {"concurrent": {"a": 0.5, "b": 0.2}, "kalman": {"a": 0.3, "b": 0.0}, "learned": {"a": 0.0, "b": 0.4}}
     one, other = chattering(calm | shaken)
-    assert one.startswith("2 runs shake a (drem, kalman): 30 to 50 % of the RMS of its torque is faster than 10 Hz, ")
+    assert one.startswith(
+        "2 runs shake a (concurrent, kalman): 30 to 50 % of the RMS of its torque is faster than 10 Hz, "
+    )
     assert one.endswith("up to 50 times as much as the others'") and other.startswith(
         "learned shakes b: 40 % of the RMS"
     )
