@@ -95,10 +95,11 @@ def role_named(name: str, told: Iterable[str] = (), turns: bool = True) -> tuple
 
     Args:
         name: Of a joint, a link or a group.
-        told: Words that tell nothing.
+        told: Words that tell nothing, of arms only where no other word tells.
         turns: Whether it is of a joint that turns: what slides neither pans nor is a mast for a camera.
     """
-    words = [word for word in reversed(words_of(name)) if word not in told]
+    words = [word for word in reversed(words_of(name)) if word not in told or ROLE_OF.get(word) == "arm"]
+    words.sort(key=lambda word: word in told)
     for table in (ROLE_OF, WEAK if turns else {}):
         for form in (form for word in words for form in (word, word.rstrip("s"), word[1:] * (word[0] in "lr"))):
             if form in table:
@@ -339,11 +340,11 @@ class Limbs:
     @cached_property
     def told(self) -> dict[str, set[str]]:
         """Words that tell nothing in the name of a joint, for the top of what it is on: those of all names on it."""
-        found, every = dict[str, set[str]](), {word for word in shared(self.candidates) if ROLE_OF.get(word) != "arm"}
+        found, every = dict[str, set[str]](), shared(self.candidates)
         for top in self.rest.document.moving_children(self.rest.document.root_link):
             names = [name for name in self.tree[top.name].carried if name in self.candidates]
-            jaws = {word for word in shared(names) if ROLE_OF.get(word) == "jaw"} if len(names) > 2 else set()
-            found[top.name] = every | jaws
+            own = {word for word in shared(names) if ROLE_OF.get(word) in ("arm", "jaw")} if len(names) > 2 else set()
+            found[top.name] = every | own
         return found
 
     def of_name(self, name: str) -> Iterable[tuple[str, str, str]]:

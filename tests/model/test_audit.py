@@ -277,6 +277,17 @@ def test_meshes_named_by_their_place_on_another_machine_are_found_in_the_package
     assert mesh_findings(far, name, package_dirs=[own]) == []  # as it says
 
 
+def test_a_mesh_of_another_machine_is_found_by_its_end_in_a_package_of_another_name(tmp_path):
+    own = tmp_path / "far" / "from" / "here" / "all" / "copied"
+    file = put(own / "meshes" / "a.stl")
+    put(own / "package.xml", b"<package><name>renamed</name></package>")
+    put(own / "a.stl")
+    urdf = own / "urdf" / "robot.urdf"
+    assert locate("file:///home/them/ws/src/arm/meshes/a.stl", urdf).file == file.resolve()
+    for name in ("/home/them/a.stl", "/home/them/meshes/../../a.stl", "/home/them/meshes/b.stl"):
+        assert locate(name, urdf).file is None  # a name without its folder may be any other file
+
+
 def test_a_way_out_of_the_package_is_not_taken(tmp_path):
     secret = put(tmp_path / "secret.stl")
     (tmp_path / "arm").mkdir()

@@ -194,6 +194,15 @@ def test_words_that_all_names_share_tell_nothing():
     assert robot.dimensions.arm == 6
 
 
+def test_a_word_of_all_joints_of_an_arm_says_less_than_one_of_a_joint():
+    fingers = finger("finger_a", 1.0) + finger("finger_b", -1.0)
+    text = re.sub(r'(name|link)="(?!base)(\w+)"', r'\1="\2_second_arm"', chain("arm", 6, "base") + fingers)
+    robot = robot_of(Drive().urdf(text))
+    assert robot.dimensions.arm == 6 and all("arm_joint" in name for name in robot.joint_names)
+    names = {"finger1_joint_second_arm": "jaw", "joint1_second_arm": "arm"}
+    assert {name: role_named(name, {"second", "arm"})[0] for name in names} == names
+
+
 def test_what_only_pans_and_tilts_is_the_arm_of_a_stand_and_stands_still_on_a_base():
     built = Built()
     built.head("base")

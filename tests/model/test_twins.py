@@ -84,6 +84,15 @@ def test_another_radius_that_is_stated_counts_more_than_a_cylinder():
         assert robot_of(chassis(hubs(0.05) + plugin.format(stated))).base.wheels[0].radius == radius
 
 
+@given(st.floats(0.04, 0.09), st.floats(1.1, 2.0))
+@settings(max_examples=10, deadline=None)
+def test_a_cylinder_that_reaches_the_floor_counts_more_than_a_radius_that_is_stated(radius, times):
+    plugin = f"<gazebo><plugin name='d' filename='x'><wheel_radius>{radius * times}</wheel_radius></plugin></gazebo>"
+    robot = robot_of(chassis(hubs(radius, radius) + BALL + plugin))
+    assert [w.radius for w in robot.base.wheels] == [radius] * 2
+    assert f"states a radius of {radius * times:.4g} m, its geometry {radius:.4g} m" in codes(robot)["base-stated"]
+
+
 @given(st.floats(0.03, 0.3), st.floats(0.1, 20), st.floats(0.01, 0.9), st.floats(-3, 3), st.floats(0.0, 0.05))
 @settings(max_examples=25, deadline=None)
 def test_the_radius_by_inertia_is_that_of_a_disc_however_it_is_written(radius, mass, share, turn, apart):

@@ -11,11 +11,14 @@ import pytest
 from drives import ARM, CYLINDER, LIMIT, SPHERE, Drive, joint, link, origin, robot_of
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from test_base import CORNERS, MOVE, four, friction
+from test_base import CORNERS, MOVE, four, friction, wheel
 
 from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.model.base.report import Undecided
+from mmnn_pin.model.base.wheels import Candidates, wheel_candidates
 from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.urdf.reading import parse
+from mmnn_pin.model.urdf.shapes import AtRest
 
 FOOT = joint("foot", "fixed", "footprint", "base") + '<link name="footprint"/>'
 BALL = link("ball", 0.1, 1e-4, SPHERE.format(r=0.05)) + joint("b", "fixed", "base", "ball", p=(-0.2, 0, 0.05))
@@ -289,6 +292,25 @@ def test_wheels_with_limits_are_no_arm(names, limits, said):
     assert not pushed.base.wheels and set(pushed.arm.locked) == {"left", "right"}
 
 
+@given(st.floats(1.3, 6.0), st.sampled_from(["revolute", "continuous"]), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_a_track_that_turns_about_one_of_its_ends_is_no_wheel(apart, kind, backward):
+    """Its rounds of 0.1 m and 0.05 m stand this many radii apart."""
+    end = CYLINDER.format(r=0.05)
+    there = f"<collision>{origin(pin.rpy.rpyToMatrix(np.pi / 2, 0, 0), ((-1) ** backward * 0.1 * apart, 0, 0))}"
+    there += f"<geometry>{end}</geometry></collision></link>"
+    text = bounded(("left", "right"), (-1.6, 1.6)) if kind == "revolute" else Drive().urdf()
+    for name in ("left_link", "right_link"):
+        at = text.index("</link>", text.index(f'<link name="{name}"'))
+        text = text[:at] + there + text[at + len("</link>") :]
+    found = {c.joint.name for c in (*seen_in(text).wheels, *seen_in(text).limited)}
+    assert found == ({"left", "right"} if apart + 0.5 < 2.0 else set())
+
+
+def seen_in(text: str) -> Candidates:
+    return wheel_candidates(AtRest(parse(text.encode(), "r.urdf")))
+
+
 def test_travel_of_ten_turns_is_no_limit():
     assert robot_of(bounded(("left", "right"), (-50, 50))).base.kind == "differential_drive"
 
@@ -367,6 +389,21 @@ def test_rollers_that_leave_a_direction_undriven_are_refused():
     with pytest.raises(Undecided, match=r"leave a direction undriven.*--roller"):
         robot_of(four(more=friction(1, 0, ["1 1 0"] * 4)))
     assert robot_of(four(more=friction(1, 0, ["1 1 0"] * 4)), roller=0.7).base.kind == "holonomic"
+
+
+@given(st.floats(0.3, 0.58), st.sampled_from(["", MOVE]), st.integers(0, 3))
+@settings(max_examples=15, deadline=None)
+def test_small_wheels_that_cannot_swivel_stand_in_for_casters_of_the_large_pair(size, plugin, wider):
+    r, text = 0.1 * size, ""
+    for name, (fore, side) in CORNERS.items():
+        text += wheel(name, (0.25 * fore, side * (0.15 + 0.05 * wider), r), radius=r)
+    text = Drive().urdf(ARM + text + plugin)
+    robot = robot_of(text)
+    assert robot.base.kind == "differential_drive" and {w.joint for w in robot.base.wheels} == {"left", "right"}
+    assert {*robot.base.casters} == {*CORNERS} and robot.base.track == pytest.approx(0.4)
+    told = next(f for f in robot.findings if f.code == "base-pair")
+    assert "would have to slide: fl, fr, rl, rr" in told.message and told.fix.startswith("--base skid_steer")
+    assert len(robot_of(text, base="skid_steer").base.wheels) == 6
 
 
 def test_controllers_that_leave_wheels_out_speak_for_a_skid_steer():

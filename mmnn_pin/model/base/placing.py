@@ -95,10 +95,10 @@ def along_note(rest: AtRest, drives: list[Candidate]) -> Iterator[Finding]:
 
 
 def sliding_note(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> Iterator[Finding]:
-    """A note on wheels as large as those that drive, parallel to them and off their axle: they would have to slide."""
+    """A note on wheels that are parallel to those that drive and off their axle: they would have to slide."""
     driving = [d.joint for d in drives]
     behind = [c for c in wheels if c.mount == "" and c.joint not in driving and parallel(c, drives[0])]
-    if any(abs(c.radius - drives[0].radius) < 0.1 * drives[0].radius for c in behind):
+    if behind := [c for c in behind if c.shape != "sphere" and c.joint.name not in on_arms(rest, wheels)]:
         text = f"wheels off the axle cannot swivel and would have to slide: {', '.join(c.joint.name for c in behind)}"
         why, fix = "they are taken as free, and the axle as where the base turns", "--base skid_steer without --wheels"
         left, right = on_either_side([*drives, *behind])

@@ -25,6 +25,7 @@ from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, across, coaxial, 
 NO_BASE = -4.0  # score of the reading that these wheels make no base
 CLEAR, DOUBT = 9.0, 3.0  # a runner-up further behind is not told; a nearer one is told as a doubt
 LARGE = 0.13  # [m] radius beyond which few wheels have rollers: 1 of 14 on public robots, of plain ones 9 of 22
+SMALL = 0.6  # of the radius of wheels that drive: smaller ones stand in for casters
 IN_ROW = 0.2  # wheels of a side may differ in place by this fraction of the width
 ALIKE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
 CASTER, ROLLING = ("caster", "castor", "roulette", "lenkrolle", "rueda_loca"), ("skid_steer", "tracked")
@@ -251,8 +252,10 @@ class Drives:
             why, weight = (
                 ("on the axle, too", -2.0) if on_axle else ("wheels that cannot swivel and would have to slide", -2.5)
             )
-            if not on_axle and alike(c, drives[0]):
-                why, weight = "wheels as large as those that drive, which would have to slide", -4.0
+            if not on_axle and (alike(c, drives[0]) or c.radius > drives[0].radius):
+                why, weight = "wheels as large as those that drive, or larger, which would have to slide", -4.0
+            elif not on_axle and c.radius < SMALL * drives[0].radius:
+                why, weight = "small wheels, as casters are", -0.5
             groups.setdefault((why, weight), []).append(c)
             if is_called_caster(c):
                 groups.setdefault(("called casters", 1.5), []).append(c)

@@ -478,7 +478,7 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         why = f"{len(welded)} wheels are welded on (fixed joints): {names}"
         raise undecided(rest, [], why, fix, ["holonomic", "fixed"], welded[0].line)
     if why := track_named(rest) if not moving else welded_tracks(rest):
-        more = "; --base fixed takes it as an arm" if moving else ""
+        why, more = (f"{why}, are welded on", "; --base fixed takes it as an arm") if moving else (why, "")
         raise unsupported(rest, "tracked machine", why, (), f"--base holonomic drives it by forces on its frame{more}")
     if why := belts_named(rest):
         raise undecided(rest, [], f"{why}: are its belts welded on", FORCES, ["tracked", "fixed"])

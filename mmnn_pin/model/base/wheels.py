@@ -31,7 +31,8 @@ COAXIAL = 0.01  # two wheels' axes may be apart by this fraction of the track
 SLOPPY = 0.1  # those of two that the user names may be apart by this fraction, and it is told
 SURE = 0.05  # what is left of a wheel is all of it if its radius is right within this fraction
 # Weights of signs that a collision shape is the wheel [nats]: logarithms of how often each is right on public robots.
-ROUND, RIGHT, WRONG, SLIM, ROOM, CROWDED = 2.9, 3.0, -4.0, -3.0, 1.0, -2.5
+ROUND, RIGHT, WRONG, MISSTATED, SLIM, ROOM, CROWDED = 2.9, 3.0, -4.0, -3.5, -3.0, 1.0, -2.5
+FLIPPER = 2.0  # radii that what turns with a wheel reaches at most: a track about one of its ends reaches further
 SLIMMEST = 0.09  # of 114 public robots two have wheels of a smaller radius by the distance of two on one axle
 LOOSE = 1.5  # a wheel of this many times the radius of a disc of its inertia is odd
 ALIKE = 0.02  # moments of inertia that differ by less than this fraction about all axes are nobody's measure
@@ -192,14 +193,14 @@ def bearing(rest: AtRest, c: Candidate, sight: Sight, footing: float, stated: fl
     On 124 of 131 public robots that have both the two radii are within 5 %, and none is a hub's.
     """
 
-    def about(other: float) -> float:
-        return RIGHT if abs(other) <= SURE * c.radius else WRONG
+    def about(other: float, wrong: float) -> float:
+        return RIGHT if abs(other) <= SURE * c.radius else wrong
 
     yield Sign("a collision shape round about the axle", ROUND)
     if not math.isnan(footing):
-        yield Sign(f"the floor at {footing:.4g} m", about(c.bottom - footing))
+        yield Sign(f"the floor at {footing:.4g} m", about(c.bottom - footing, WRONG))
     if stated is not None:
-        yield Sign(f"the stated radius of {stated:.4g} m", about(c.radius - stated))
+        yield Sign(f"the stated radius of {stated:.4g} m", about(c.radius - stated, MISSTATED))
     apart = [float(np.linalg.norm(o.centre - c.centre)) for o in (*sight.measured, *sight.hidden) if coaxial(c, o)]
     if c.radius < SLIMMEST * max(apart, default=0.0):
         yield Sign(f"wheels {max(apart):.4g} m apart", SLIM)
@@ -377,6 +378,8 @@ def look_at(rest: AtRest, joint: Joint, rollers: tuple[str, ...], tag: str) -> W
     bodies, gone = readable(rest, rest.document.body(joint.child), tag)
     rims, rims_gone = readable(rest, [rest.document.joints[name].child for name in rollers], tag)
     rounds = [(*fit, s.kind) for s in bodies if (fit := round_about(s, hub, axis))]
+    if rounds and max(reach_about(s, hub, axis)[0] for s in bodies) > FLIPPER * max(rounds)[0]:
+        rounds = []
     if rims:
         reaches = [reach_about(s, hub, axis) for s in rims]
         middle = (min(low for _, low, _ in reaches) + max(high for _, _, high in reaches)) / 2

@@ -131,7 +131,8 @@ def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> Me
     `package://NAME/...`, `model://NAME/...` and `$(find NAME)/...` are looked for in the package. Other names start
     from the URDF's folder; they may stay inside its package (the folder with a `package.xml`, else the one above
     `urdf/` or `robots/`, else the URDF's own), inside a package folder, or inside another package. An absolute name
-    from another machine, `/home/THEM/ws/src/NAME/meshes/...`, is looked for in the package NAME that is seen here.
+    from another machine, `/home/THEM/ws/src/NAME/meshes/...`, is looked for in the package NAME that is seen here, else
+    by its end, `meshes/...`, in the URDF's own.
 
     Args:
         name: The file name as the URDF states it.
@@ -153,18 +154,17 @@ def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> Me
     if mesh.problem == "outside" and os.path.isabs(rest):
         seen = packages(urdf, given)
         mesh = first_inside([rest], list(seen.values()))
-        return mesh if mesh.file else here(Path(rest), seen) or mesh
+        return mesh if mesh.file else here(Path(rest), seen, package_of(folder)) or mesh
     return mesh
 
 
-def here(absolute: Path, seen: dict[str, str]) -> MeshFile | None:
-    """The file of a package that is seen, where the URDF names it by its place on another machine."""
-    package = next((folder for folder in absolute.parents if folder.name in seen), None)
-    if package is None:
-        return None
-    own = seen[package.name]
-    mesh = first_inside([os.path.join(own, absolute.relative_to(package))], [own])
-    return mesh if mesh.file else None
+def here(absolute: Path, seen: dict[str, str], own: str) -> MeshFile | None:
+    """The file of a package that is seen, or of the own one, where the URDF names it by its place elsewhere."""
+    named = next((folder for folder in absolute.parents if folder.name in seen), None)
+    places = [(seen[named.name], absolute.relative_to(named))] if named else []
+    places += [(own, absolute.relative_to(folder)) for folder in reversed(absolute.parents[1:])]
+    meshes = (first_inside([os.path.join(package, place)], [package]) for package, place in places)
+    return next((mesh for mesh in meshes if mesh.file), None)
 
 
 def in_package(rest: str, urdf: Path, folder: str, given: list[str]) -> MeshFile:
