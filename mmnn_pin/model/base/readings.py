@@ -254,7 +254,7 @@ class Drives:
             )
             if not on_axle and (alike(c, drives[0]) or c.radius > drives[0].radius):
                 why, weight = "wheels as large as those that drive, or larger, which would have to slide", -4.0
-            elif not on_axle and c.radius < SMALL * drives[0].radius:
+            elif not on_axle and c.radius < SMALL * drives[0].radius and c.joint.mimics is None:
                 why, weight = "small wheels, as casters are", -0.5
             groups.setdefault((why, weight), []).append(c)
             if is_called_caster(c):

@@ -154,7 +154,7 @@ def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> Me
     if mesh.problem == "outside" and os.path.isabs(rest):
         seen = packages(urdf, given)
         mesh = first_inside([rest], list(seen.values()))
-        return mesh if mesh.file else here(Path(rest), seen, package_of(folder)) or mesh
+        return mesh if mesh.file else here(Path(os.path.normpath(rest)), seen, package_of(folder)) or mesh
     return mesh
 
 
