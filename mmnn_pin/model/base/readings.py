@@ -25,7 +25,7 @@ from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, across, coaxial, 
 NO_BASE = -4.0  # score of the reading that these wheels make no base
 CLEAR, DOUBT = 9.0, 3.0  # a runner-up further behind is not told; a nearer one is told as a doubt
 LARGE = 0.13  # [m] radius beyond which few wheels have rollers: 1 of 14 on public robots, of plain ones 9 of 22
-SMALL = 0.6  # of the radius of wheels that drive: smaller ones stand in for casters
+SMALL = 0.6  # of the radius of wheels that drive: pairs of smaller ones stand in for casters
 IN_ROW = 0.2  # wheels of a side may differ in place by this fraction of the width
 ALIKE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
 CASTER, ROLLING = ("caster", "castor", "roulette", "lenkrolle", "rueda_loca"), ("skid_steer", "tracked")
@@ -248,14 +248,15 @@ class Drives:
             if c.joint.name in self.on_arms:
                 groups.setdefault(("on arms, not on the floor", -0.5), []).append(c)
                 continue
-            on_axle = any(coaxial(c, d) for d in drives)
-            why, weight = (
-                ("on the axle, too", -2.0) if on_axle else ("wheels that cannot swivel and would have to slide", -2.5)
-            )
-            if not on_axle and (alike(c, drives[0]) or c.radius > drives[0].radius):
+            beside = any(coaxial(c, o) for o in others) and c.joint.mimics is None
+            if any(coaxial(c, d) for d in drives):
+                why, weight = "on the axle, too", -2.0
+            elif alike(c, drives[0]) or c.radius > drives[0].radius:
                 why, weight = "wheels as large as those that drive, or larger, which would have to slide", -4.0
-            elif not on_axle and c.radius < SMALL * drives[0].radius and c.joint.mimics is None:
-                why, weight = "small wheels, as casters are", -0.5
+            elif beside and c.radius < SMALL * drives[0].radius:  # one alone may steer, and its pivot be left out
+                why, weight = "pairs of small wheels, as casters are", -0.5
+            else:
+                why, weight = "wheels that cannot swivel and would have to slide", -2.5
             groups.setdefault((why, weight), []).append(c)
             if is_called_caster(c):
                 groups.setdefault(("called casters", 1.5), []).append(c)
