@@ -29,8 +29,8 @@ from ...settings.arguments import checked, unknown_key, wrong_type
 from .controllers import of_today
 from .experiment import FITTED, Experiment
 from .hardware import COARSEST, WAYS_OUT, Fitted, UnfitHardware, borne, require_strength
-from .hardware_table import GROUPS, BaseHardware, HardwareTable, JointHardware, beside_urdf, completed, file_of
-from .origins import of_override, placed
+from .hardware_table import GROUPS, BaseHardware, HardwareTable, JointHardware, beside_urdf, completed
+from .origins import of_override, path_of, placed
 from .references import as_long_as_its_file
 
 FOLDER = Path(__file__).parent
@@ -133,13 +133,13 @@ def fitted_to(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str
     Raises:
         InputError: Hardware that cannot be, a robot that cannot, motors too weak for the motion.
     """
-    file, hardware = file_of(table["hardware"]), read_hardware(table["hardware"])
+    given = table["hardware"]
+    hardware = read_hardware(given)
     robot = load_with(table["robot"], msgspec.convert(table.get("overrides", {}), Overrides))
     try:
         fitted = Fitted(hardware, robot)
     except InputError as error:
-        within = error.but(key=(error.key or "").removeprefix("hardware.") or None)
-        raise error if file is None else placed(within, file) from None
+        raise in_hardware(error, given) from None
     said = merged({}, {key: value for key, value in own.items() if key != "hardware"})
     for text in texts:
         if text.partition("=")[0].partition(".")[0].strip() != "hardware":
@@ -183,21 +183,20 @@ def read_hardware(given: str | Mapping[str, Any]) -> HardwareTable:
         UnknownName: No such profile or key.
         ConfigError: A file that cannot be read, a value that cannot be.
     """
-    table, file = completed(given, merged, ())
+    table, _ = completed(given, merged)
     kinds = dict.fromkeys(GROUPS, JointHardware) | {"base": BaseHardware}
     for name, value in table.items():
         if name in kinds:
-            as_hardware(value, kinds[name], file, f"{name}.")
+            as_hardware(value, kinds[name], given, f"{name}.")
         elif name == "joints" and isinstance(value, Mapping):
             for joint, item in value.items():
-                as_hardware(item, JointHardware, file, f"joints.{joint}.")
-    made: HardwareTable = as_hardware(table, HardwareTable, file, "")
+                as_hardware(item, JointHardware, given, f"joints.{joint}.")
+    made: HardwareTable = as_hardware(table, HardwareTable, given, "")
     return made
 
 
-def as_hardware(value: Any, kind: type[Settings], file: Path | None, prefix: str) -> Any:
-    """One table as settings of a kind; errors name its file, or its key within an experiment."""
-    front, files = (prefix, [file]) if file is not None else (f"hardware.{prefix}", [])
+def as_hardware(value: Any, kind: type[Settings], given: str | Mapping[str, Any], prefix: str) -> Any:
+    """A part of what is given to `read_hardware`, behind a prefix, as settings of a kind."""
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
@@ -205,7 +204,16 @@ def as_hardware(value: Any, kind: type[Settings], file: Path | None, prefix: str
         own = found.key or ""
     except ConfigError as error:
         found, own = error, (error.key or "").removeprefix(".").removeprefix("base.")
-    raise placed(found.but(key=f"{front}{own}".rstrip(".") or None), *files) from None
+    raise in_hardware(found.but(key=f"{prefix}{own}".rstrip(".") or None), given) from None
+
+
+def in_hardware(error: InputError, given: str | Mapping[str, Any]) -> InputError:
+    """An error in what is given to `read_hardware`: in the file that has its key, or at its key in the experiment."""
+    key = (error.key or "").removeprefix("hardware.")
+    within = error.but(key=key or None)
+    found = placed(within, *completed(given, merged)[1])
+    its_own = isinstance(given, Mapping) and (found.line is None or value_at(given, path_of(within)) is not None)
+    return error.but(key=f"hardware.{key}".rstrip(".")) if its_own or found.file is None else found
 
 
 def on_other_hardware(base: E, table: dict[str, Any], said: Mapping[str, Any]) -> E:

@@ -176,15 +176,10 @@ def beside_urdf(robot: str) -> str | None:
     return str(file) if lexists(file) else None
 
 
-def file_of(given: Any) -> Path | None:
-    """The file that a table is read from, given as to `completed`; None for a profile and for a table itself."""
-    return Path(given) if isinstance(given, str) and given not in profiles() else None
-
-
 def completed(
-    given: str | Mapping[str, Any], merge: Callable[..., dict[str, Any]], before: tuple[Path, ...]
-) -> tuple[dict[str, Any], Path | None]:
-    """A table of hardware on top of the profile that it starts from, and the file that it stands in; None for none.
+    given: str | Mapping[str, Any], merge: Callable[..., dict[str, Any]], before: tuple[Path, ...] = ()
+) -> tuple[dict[str, Any], list[Path]]:
+    """A table of hardware on top of the profile that it starts from, and their files, without those of the package.
 
     Args:
         given: Name of a profile, a file, or a table.
@@ -197,7 +192,7 @@ def completed(
     """
     file: Path | None = None
     if isinstance(given, str):
-        file = file_of(given) or profiles()[given]
+        file = profiles().get(given, Path(given))
         if given not in profiles() and (not file.suffix or not lexists(file)):
             if file.suffix:
                 raise ConfigError("no such file", fix=f"or name one of: {', '.join(profiles())}", file=file)
@@ -205,14 +200,16 @@ def completed(
         if file in before:
             raise ConfigError("starts from itself", fix="name another profile", file=file, key="profile")
         given = read_toml(file)
+    own = [] if file is None else [file]
+    theirs = [one for one in own if one.parent != PROFILES]
     start = given.get("profile")
     if not isinstance(start, str) or not start:
-        return dict(given), file
+        return dict(given), theirs
     if file is not None and (file.parent / start).is_file():
         start = str(file.parent / start)
     try:
-        inner, _ = completed(start, merge, (*before, *([] if file is None else [file])))
+        inner, others = completed(start, merge, (*before, *own))
     except UnknownName as error:
         raise placed(error.but(key="profile"), file) if file else error.but(key="hardware.profile") from None
     sources = [*inner.get("sources", ()), *given.get("sources", ())]
-    return merge(inner, given) | ({"sources": sources} if sources else {}), file
+    return merge(inner, given) | ({"sources": sources} if sources else {}), [*theirs, *others]

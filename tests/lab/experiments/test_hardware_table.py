@@ -218,6 +218,32 @@ def test_who_says_more_counts_more_and_messages_name_the_users_own_file(tmp_path
         assert "site-packages" not in str(error.value) and "experiments/track.toml" not in str(error.value)
 
 
+def test_an_error_names_the_file_that_has_the_key(tmp_path):
+    inner, outer, experiment = (tmp_path / f"{name}.toml" for name in ("inner", "outer", "experiment"))
+    outer.write_text("profile = 'inner.toml'\n\n[arm]\nencoder = 0.1\n")
+    experiment.write_text(f"experiment = 'track'\nhardware = {{profile = '{inner}', arm.encoder = 0.1}}\n")
+    for text, line in {
+        "\n[arm]\ntorque = -1\n": "3:arm.torque: error: -1",
+        "[arm]\ntorqe = 1\n": "2:arm: error: unknown key 'torqe'",
+        "joints.elbow.rate = 5.0\n": "1:joints: error: unknown joint 'elbow'",
+        "[joints.arm_1_joint]\ninterface = 'pwm'\n": "1:joints.arm_1_joint: error: 'arm_1_joint' takes a pwm",
+    }.items():
+        inner.write_text(text)
+        asked = [
+            ("track", [f"hardware={outer}"]),
+            ("track", [f"hardware={inner}", "hardware.rate=90"]),
+            (experiment, []),
+        ]
+        for named, texts in asked:
+            with pytest.raises(InputError) as error:
+                load_experiment(named, texts)
+            assert str(error.value).startswith(f"{inner}:{line}")
+    inner.write_text("rate = 100.0\n")
+    outer.write_text("profile = 'inner.toml'\nrat = 5.0\n")
+    with pytest.raises(ConfigError, match=rf"{re.escape(str(outer))}:2: error: unknown key 'rat'"):
+        load_experiment("track", [f"hardware={outer}"])
+
+
 def test_a_table_within_an_experiment_names_its_own_keys():
     with pytest.raises(ConfigError, match=r"hardware\.arm\.torque: error: 0"):
         load_experiment("track", ['hardware={profile="unknown", arm={torque=0}}'])
