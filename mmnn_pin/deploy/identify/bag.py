@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -22,7 +24,8 @@ from .log import Columns, Log, from_signals, is_angle
 JOINTS, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
 AGAIN = "record it again, or export CSV"
-CHUNK, MOST_CHUNK = 6, 1 << 27  # of MCAP: the kind of record, bytes that one may unpack to
+PART = 1 << 20  # bytes that are unpacked at once
+ONE_AT_A_TIME = threading.Lock()  # who has put something in the place of functions of rosbags
 TRANSFORMED = "geometry_msgs/msg/TransformStamped"
 
 
@@ -52,64 +55,58 @@ def read_bag(path: Path, robot: Robot, columns: Columns) -> Log:
     return merged(str(path), series, wanted["joints"], path, robot)
 
 
-def require_bounded(path: Path) -> None:
-    """Refuse an MCAP file whose records are longer than the file, or unpack to far more than a chunk has.
+@contextmanager
+def bounded(most: int) -> Iterator[None]:
+    """Have rosbags unpack at most so many bytes in all: a kilobyte may be a gigabyte, wherever in a bag it lies.
 
-    Raises:
-        RecordingError: With the place of the first.
+    The functions by which it unpacks chunks, messages and files count what comes out, and raise `ValueError`.
     """
-    size = path.stat().st_size
-    with opened(path) as file:
-        file.seek(8)  # behind the magic bytes
-        while len(head := file.read(9)) == 9 and file.tell() <= size - 8:
-            at, length = file.tell(), int.from_bytes(head[1:], "little")
-            if at + length > size:
-                why = f"the record at byte {at - 9:,} has {length:,} bytes, the file {size:,}"
-                raise RecordingError("the bag cannot be read", why=why, fix=AGAIN, file=path)
-            if head[0] == CHUNK:
-                unpacked, name = int.from_bytes(file.read(28)[16:24], "little"), file.read(length_of(file, 4))
-                if unpacked > MOST_CHUNK:
-                    why = f"the chunk at byte {at - 9:,} says it unpacks to {unpacked / 1e6:,.0f} MB"
-                    raise RecordingError("the bag cannot be read", why=why, fix=AGAIN, file=path)
-                packed = BytesIO(file.read(min(length_of(file, 8), length)))
-                require_unpacked(path, packed, name.decode(errors="replace"), unpacked, f"the chunk at byte {at - 9:,}")
-            file.seek(at + length)
+    from rosbags.rosbag1 import reader as first
+    from rosbags.rosbag2 import reader as second
+    from rosbags.rosbag2 import storage_mcap
 
+    left = most
 
-def length_of(file: BinaryIO, size: int) -> int:
-    """The length that some bytes say, at most that of a chunk."""
-    return min(int.from_bytes(file.read(size), "little"), MOST_CHUNK)
+    def counted(part: bytes) -> bytes:
+        nonlocal left
+        left -= len(part)
+        if left < 0:
+            raise ValueError(f"it unpacks to more than {most:,} bytes")
+        return part
 
+    def whole(form: str) -> Callable[..., bytes]:
+        def unpacked(data: bytes, _: int = 0) -> bytes:
+            with decoder(form).open(BytesIO(data), "rb") as file:
+                return b"".join(iter(lambda: counted(file.read(PART)), b""))
 
-def require_unpacked(path: Path, packed: BinaryIO, form: str, most: int, what: str) -> None:
-    """Refuse what unpacks to more than so many bytes: a kilobyte may be a gigabyte, whatever its head says.
+        return unpacked
 
-    Args:
-        path: The bag's file, for the error.
-        packed: The compressed bytes.
-        form: `zstd` or `lz4`; others are not unpacked.
-        most: Bytes.
-        what: It is, for the error.
+    @contextmanager
+    def in_parts(packed: BinaryIO, mode: str) -> Iterator[Any]:
+        with decoder("zstd").open(packed, mode) as file:
+            yield SimpleNamespace(read=lambda size: counted(file.read(size)))
 
-    Raises:
-        RecordingError: It does.
-    """
-    if form not in ("zstd", "lz4"):
-        return
-    found = 0
-    with decoder(form).open(packed, "rb") as file:
-        while part := file.read(1 << 20):
-            found += len(part)
-            if found > most:
-                why = f"{what} unpacks to more than {most:,} bytes"
-                raise RecordingError("the bag cannot be read", why=why, fix=AGAIN, file=path)
+    of = {form: whole(form) for form in ("bz2", "lz4", "zstd")}
+    places: list[tuple[dict[str, Any], dict[str, Any]]] = [
+        (first.decompressors, {form: of[form] for form in ("bz2", "lz4")}),
+        (storage_mcap.DECOMPRESSORS, {form: of[form] for form in ("lz4", "zstd")}),
+        (vars(second), {"zstd": SimpleNamespace(open=in_parts, decompress=of["zstd"])}),
+    ]
+    with ONE_AT_A_TIME:
+        before = [(place, {name: place[name] for name in ours}) for place, ours in places]
+        try:
+            for place, ours in places:
+                place.update(ours)
+            yield
+        finally:
+            for place, theirs in before:
+                place.update(theirs)
 
 
 def decoder(form: str) -> Any:
-    """The module that unpacks `zstd` or `lz4`, as rosbags brings them."""
-    if form == "lz4":
-        return import_module("lz4.frame")
-    return import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
+    """The module that unpacks `bz2`, `lz4` or `zstd`, as rosbags brings them."""
+    zstd = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
+    return import_module({"lz4": "lz4.frame", "zstd": zstd}.get(form, form))
 
 
 @contextmanager
@@ -126,14 +123,14 @@ def reader(path: Path) -> Iterator[Any]:
         fix = "pip install 'mmnn_pin[identify]'"
         raise RecordingError("bags need rosbags", why=f"no {error.name}", fix=fix, file=path) from None
     try:
-        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-            with opened(file) as content:  # nothing but plain files
-                if file.suffix == ".zstd":
-                    most = DENSEST * file.stat().st_size + ROOM
-                    require_unpacked(file, content, "zstd", most, "it")
-            if file.suffix == ".mcap":
-                require_bounded(file)
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+        size = 0
+        for file in path.iterdir() if path.is_dir() else [path]:
+            with opened(file):  # nothing but plain files
+                size += file.stat().st_size
+        with (
+            bounded(DENSEST * size + ROOM),
+            AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag,
+        ):
             yield bag
     except InputError:
         raise
