@@ -200,6 +200,8 @@ def completed(
         if file in before:
             raise ConfigError("starts from itself", fix="name another profile", file=file, key="profile")
         given = read_toml(file)
+    elif not isinstance(given, Mapping):
+        raise ConfigError("no hardware", fix="give the name of a profile, a file, or a table", key="hardware")
     own = [] if file is None else [file]
     theirs = [one for one in own if one.parent != PROFILES]
     start = given.get("profile")
@@ -211,5 +213,7 @@ def completed(
         inner, others = completed(start, merge, (*before, *own))
     except UnknownName as error:
         raise placed(error.but(key="profile"), file) if file else error.but(key="hardware.profile") from None
-    sources = [*inner.get("sources", ()), *given.get("sources", ())]
-    return merge(inner, given) | ({"sources": sources} if sources else {}), [*theirs, *others]
+    said = [table["sources"] for table in (inner, given) if "sources" in table]
+    wrong = [one for one in said if not isinstance(one, list | tuple)]  # refused with its key
+    sources = wrong[0] if wrong else [source for one in said for source in one]
+    return merge(inner, given) | ({"sources": sources} if said else {}), [*theirs, *others]

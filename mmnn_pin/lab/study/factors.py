@@ -151,16 +151,25 @@ def require_values(kind: str, values: tuple[Any, ...], relative: bool) -> None:
     """Refuse lists of nothing, of what is no setting, or with the same value twice (`ConfigError`)."""
     if not values:
         raise ConfigError("no values, so no runs", fix="give at least one", key=kind)
+    before = set[Any]()
     for i, value in enumerate(values):
         if not isinstance(value, (bool, int, float, str, list, tuple)):
             what = f"{value!r} is no setting"
             raise ConfigError(what, fix="use numbers, texts, true, false or lists of them", key=f"{kind}.{i}")
         if is_number(value) and not math.isfinite(float(value)):  # type: ignore[arg-type]
             raise ConfigError(f"{value} is not finite", fix="use finite numbers", key=f"{kind}.{i}")
-        if value in values[:i]:
+        if hashable(value) in before:
             raise ConfigError(f"{value!r} comes twice", fix="name each value once", key=kind)
+        before.add(hashable(value))
         if relative and not is_number(value):
             raise ConfigError(f"{value!r} multiplies nothing", fix="use numbers with relative", key=f"{kind}.{i}")
+
+
+def hashable(value: Any) -> Any:
+    """A value of TOML in a form for sets; equal ones are equal."""
+    if isinstance(value, dict):
+        return frozenset((key, hashable(part)) for key, part in value.items())
+    return tuple(map(hashable, value)) if isinstance(value, (list, tuple)) else value
 
 
 def is_number(value: Any) -> bool:

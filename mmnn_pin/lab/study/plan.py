@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -25,7 +26,7 @@ from ..experiments.experiment import Experiment
 from ..experiments.laws import LAW, digest_of, name_of
 from .factors import Factor, unit_cube
 from .keys import changed, deep, flat, require_path
-from .settings import MOST, StudyFile, placing
+from .settings import MOST, StudyFile, StudySettings, placing
 from .worker import Bundle, Trial, code_digest, load_once
 
 # Keys that change no number of a run; a study does not vary them. Its rows are judged by its own `success`.
@@ -207,32 +208,36 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
                 raise study.placed(ConfigError("hardware is no factor", why=why, fix=fix, key=key))
     method, seed = settings.sampling.method, settings.sampling.seed if sampling_seed is None else sampling_seed
     count = settings.sampling.points if points is None or not settings.sampling.points else points
-    plan = StudyPlan(
-        study,
-        base,
-        table,
-        points_of(settings.factors, method, count, seed),
-        tuple(map(name_of, settings.controllers)) if settings.controllers else base.controllers,
-        seeds_of(settings.seeds, base.seed, settings.factors),
-    )
-    if len(plan) > MOST:
-        what, fix = f"{len(plan)} runs", f"at most {MOST} are taken"
+    controllers = tuple(map(name_of, settings.controllers)) if settings.controllers else base.controllers
+    if (runs := count_of(settings, count, len(controllers))) > MOST:
+        what, fix = f"{runs} runs", f"at most {MOST} are taken"
         raise study.placed(ConfigError(what, fix=fix, key="sampling.points"))
+    points = points_of(settings.factors, method, count, seed)
+    plan = StudyPlan(study, base, table, points, controllers, seeds_of(settings.seeds, base.seed, settings.factors))
     for point in plan.points:
         plan.experiment(point, plan.seeds[0])
     return plan
+
+
+def count_of(settings: StudySettings, draws: int, controllers: int) -> int:
+    """Number of runs of a study with so many draws and controllers, none of which is made."""
+    factors = settings.factors.values()
+    draws = max(draws, 1) if any(factor.drawn for factor in factors) else 1
+    seeds = settings.seeds if isinstance(settings.seeds, int) else len(settings.seeds)
+    return draws * math.prod(len(factor.grid) for factor in factors if factor.grid) * seeds * controllers
 
 
 def points_of(factors: dict[str, Factor], method: str, count: int, seed: int) -> tuple[dict[str, Any], ...]:
     """Values of all factors at all points: every draw with every cell of the grid."""
     drawn = [name for name, factor in factors.items() if factor.drawn]
     grid = [name for name in factors if name not in drawn]
+    cells = list(itertools.product(*(factors[name].grid or () for name in grid)))
     draws = unit_cube(method, max(count, 1), len(drawn), seed) if drawn else np.zeros((1, 0))
     points = []
-    for draw, cell in itertools.product(draws, list(itertools.product(*(factors[name].grid or () for name in grid)))):
+    for draw in draws:
         values = {name: factors[name].value(float(u)) for name, u in zip(drawn, draw, strict=True)}
-        values |= zip(grid, cell, strict=True)
-        points.append({name: values[name] for name in factors})
+        both = (values | dict(zip(grid, cell, strict=True)) for cell in cells)
+        points += [{name: every[name] for name in factors} for every in both]
     return tuple(points)
 
 

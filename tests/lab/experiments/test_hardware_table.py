@@ -244,6 +244,12 @@ def test_an_error_names_the_file_that_has_the_key(tmp_path):
         load_experiment("track", [f"hardware={outer}"])
 
 
+@pytest.mark.parametrize("given", ["5", "[1]", "true", "{profile='unknown', sources=5}"])
+def test_what_is_no_table_is_refused(given):
+    with pytest.raises(ConfigError, match=r"hardware.*: error: (no hardware|5 is a whole number)"):
+        load_experiment("track", [f"hardware={given}"])
+
+
 def test_a_table_within_an_experiment_names_its_own_keys():
     with pytest.raises(ConfigError, match=r"hardware\.arm\.torque: error: 0"):
         load_experiment("track", ['hardware={profile="unknown", arm={torque=0}}'])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.origins import nearest_line
 from mmnn_pin.lab.study.factors import Factor, unit_cube
 from mmnn_pin.lab.study.keys import leaves, near
+from mmnn_pin.lab.study.plan import count_of
 
 U = st.floats(0.0, 1.0, exclude_max=True)
 
@@ -261,7 +263,7 @@ def test_hardware_that_a_study_sets_is_that_of_an_experiment_with_all_that_follo
 def test_runs_are_all_draws_times_grid_times_controllers(tmp_path: Path) -> None:
     plan = planned(tmp_path)
     rows = [plan.trial(i) for i in range(len(plan))]
-    assert len(rows) == 4 * 2 * 3
+    assert len(rows) == 4 * 2 * 3 == count_of(plan.study.settings, 4, 3)
     assert {(r.controller, r.experiment.time.control_period) for r in rows} == {
         (c, p) for c in ("pd", "two_layer", "computed_torque") for p in (0.001, 0.002)
     }
@@ -279,6 +281,27 @@ def test_runs_are_all_draws_times_grid_times_controllers(tmp_path: Path) -> None
     assert [row.fingerprint for row in rows] == list(plan.fingerprints)
     with pytest.raises(ConfigError, match="there is no row 24: use one from 0 to 23"):
         plan.trial(24)
+
+
+def test_more_runs_than_can_be_are_refused_before_one_is_made(tmp_path: Path) -> None:
+    grid = f"grid = {[1 + k / 100 for k in range(100)]}"
+    masses = "".join(f'"masses.{name}" = {{ {grid} }}\n' for name in ("arm_1_joint", "arm_2_joint", "wheel_left_joint"))
+    for old, new, runs in (
+        ("[factors.friction]", f"{masses}[factors.friction]", 4 * 2 * 3 * 100**3),
+        ('"seed" = { integer = [0, 1000] }', "", 0),
+    ):
+        text = SHORT.replace(old, new) if runs else f"seeds = {10**12}\n{SHORT.replace(old, new)}"
+        with pytest.raises(ConfigError, match=rf"{runs or 24 * 10**12} runs: at most 10000000 are taken"):
+            planned(tmp_path, text)
+
+
+def test_values_are_compared_in_time_that_grows_with_their_number() -> None:
+    begun = time.process_time()
+    assert len(Factor(grid=tuple(range(50_000))).grid or ()) == 50_000
+    assert time.process_time() - begun < 3
+    for twice in ((1, True), (1, 1.0), ([1, [2]], [1.0, [2]]), ([{"a": [1]}], [{"a": [1]}])):
+        with pytest.raises(ConfigError, match="comes twice"):
+            Factor(choice=twice)
 
 
 def test_seeds_count_from_the_experiments_own_or_are_given(tmp_path: Path) -> None:
