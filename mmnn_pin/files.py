@@ -29,6 +29,7 @@ from .errors import ConfigError, InputError, RecordingError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 ELSEWHERE, NO_FILE = "choose another place", "it is no plain file"
+POINTER = b"version https://git-lfs"  # where Git LFS has the file itself elsewhere
 CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 LONGEST, DEEPEST = 1_000_000, 32  # bytes of a TOML file; levels of its tables and lists
 LARGEST = 500_000_000  # bytes of tables of numbers: logs, trajectories
@@ -67,7 +68,7 @@ def opened(path: str | Path, most: int = MOST) -> BinaryIO:
         most: Bytes that it may have.
 
     Raises:
-        OSError: It cannot be opened, is something else, or has more.
+        OSError: It cannot be opened, is something else, a pointer of Git LFS, or has more.
         ValueError: A name that no file can have.
     """
     try:
@@ -75,10 +76,15 @@ def opened(path: str | Path, most: int = MOST) -> BinaryIO:
     except IsADirectoryError:
         raise IsADirectoryError(NO_FILE) from None
     state = os.fstat(file.fileno())
-    if stat.S_ISREG(state.st_mode) and state.st_size <= most:
-        return file
-    file.close()
-    raise too_large(most) if stat.S_ISREG(state.st_mode) else OSError(NO_FILE)
+    wrong = too_large(most) if state.st_size > most else None
+    wrong = wrong if stat.S_ISREG(state.st_mode) else OSError(NO_FILE)
+    if wrong is None and file.read(len(POINTER)) == POINTER:
+        wrong = OSError("it is a pointer to a file in Git LFS: git lfs pull brings the file itself")
+    if wrong is not None:
+        file.close()
+        raise wrong
+    file.seek(0)
+    return file
 
 
 def too_large(most: int) -> OSError:

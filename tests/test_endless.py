@@ -31,7 +31,8 @@ from mmnn_pin.lab.show.identified import page
 from mmnn_pin.model.urdf.reading import audit_data, audit_file
 
 PATIENCE = 10.0  # [s] of processor time and of the clock
-FILES = ("pipe", "/dev/zero", "folder", "large")
+FILES = ("pipe", "/dev/zero", "folder", "large", "pointer")
+POINTED = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
 COMMANDS = {
     "reference": "run track --set time.duration=0.01 --controller pd --set reference.file={} --out out",
     "log": "identify {} --robot platform_arm --out out",
@@ -76,6 +77,8 @@ def made(kind: str, path: Path) -> Path:
     elif kind == "large":
         with path.open("wb") as file:
             file.truncate(10**12)  # of nothing: it takes no room
+    elif kind == "pointer":
+        path.write_text(POINTED)
     else:
         path.symlink_to(kind)
     return path
@@ -117,6 +120,7 @@ def test_a_command_refuses_it_with_one_line(
     arguments = [word.replace("{urdf}", str(ROOT / "urdf" / "platform_arm.urdf")) for word in words]
     line = refused_soon(arguments, capsys)
     assert Path(name).name in line or command in ("reference", "start"), line
+    assert (kind == "pointer") == ("git lfs pull" in line), line
 
 
 def refused_soon(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -157,7 +161,8 @@ def test_it_is_refused_where_a_command_looks_for_it_by_itself(
     monkeypatch.chdir(tmp_path)
     Path(name).parent.mkdir(exist_ok=True)
     made(kind, Path(name))
-    assert Path(name).name in refused_soon(BESIDE[name].split(), capsys)
+    line = refused_soon(BESIDE[name].split(), capsys)
+    assert Path(name).name in line and (kind == "pointer") == ("git lfs pull" in line or "not a database" in line), line
 
 
 @pytest.mark.parametrize("kind", FILES)
@@ -167,7 +172,7 @@ def test_no_robot_is_offered_that_is_no_plain_file(
     monkeypatch.chdir(tmp_path)
     Path("new").mkdir()
     made(kind, Path("new/model.urdf"))
-    assert ("model.urdf" in refused_soon(["inspect", "new"], capsys)) == (kind == "large")
+    assert ("model.urdf" in refused_soon(["inspect", "new"], capsys)) == (kind in ("large", "pointer"))
 
 
 @pytest.mark.parametrize("what", ["pipe", "/dev/zero", "large"])

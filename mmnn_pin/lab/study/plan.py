@@ -212,8 +212,8 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
     if (runs := count_of(settings, count, len(controllers))) > MOST:
         what, fix = f"{runs} runs", f"at most {MOST} are taken"
         raise study.placed(ConfigError(what, fix=fix, key="sampling.points"))
-    points = points_of(settings.factors, method, count, seed)
-    plan = StudyPlan(study, base, table, points, controllers, seeds_of(settings.seeds, base.seed, settings.factors))
+    made = points_of(settings.factors, method, count, seed)
+    plan = StudyPlan(study, base, table, made, controllers, seeds_of(settings.seeds, base.seed, settings.factors))
     for point in plan.points:
         plan.experiment(point, plan.seeds[0])
     return plan

@@ -244,7 +244,7 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     if ended.returncode or not head:
         slow = ended.returncode == -signal.SIGXCPU
         why = f"it takes more than {BYTES / 1e9:g} GB, or ends the process that expands it"
-        why = f"it takes more than {SECONDS} s: do its macros call each other without end?" if slow else why
+        why = f"it takes more than {SECONDS} s: do its macros, or its expressions, go on without end?" if slow else why
         raise Unexpanded("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1)
     return json.loads(head), data
 

@@ -59,7 +59,6 @@ HEADS = {
     b"PK\x03\x04": ("a zip archive (USDZ?)", "unpack it; " + USD + " where it holds a USD file"),
     b"glTF": ("a glTF mesh", "give the URDF that uses it"),
     b"solid ": ("an STL mesh", "give the URDF that uses it"),
-    b"version https://git-lfs": ("a pointer to a file in Git LFS", "get the file itself: git lfs pull"),
 }
 TAGS = 200_000  # of a file; reading more takes minutes and gigabytes
 ATTRIBUTES = 200  # of a tag; the time to read them grows with the square
