@@ -7,10 +7,6 @@ from .classical import PDGravity as PDGravity
 from .classical import PIDSettings as PIDSettings
 from .concurrent import Concurrent as Concurrent
 from .concurrent import ConcurrentSettings as ConcurrentSettings
-from .deep_residual import DeepResidual as DeepResidual
-from .deep_residual import DeepResidualSettings as DeepResidualSettings
-from .drem import Drem as Drem
-from .drem import DremSettings as DremSettings
 from .extended_state import ExtendedState as ExtendedState
 from .extended_state import ExtendedStateSettings as ExtendedStateSettings
 from .feedforward import Feedforward as Feedforward
