@@ -165,6 +165,48 @@ def test_steered_wheels_without_a_joint_to_spin_about_only_steer():
     assert "have no joint to spin about" in told(robot, "base-steered")
 
 
+@given(st.floats(0.05, 0.6), st.floats(0.0, 0.3))
+@settings(max_examples=8, deadline=None)
+def test_steering_that_hangs_on_what_spins_is_refused_and_the_other_order_is_a_car(ahead, out):
+    rolled, right = pair(), pair()
+    for n, side in (("a", 1.0), ("b", -1.0)):
+        body = link(f"{n}_link", 0.5, 0.002, CYLINDER.format(r=0.1), LYING) + link(f"{n}_carrier", 0.5, 0.002)
+        near, far = (0.3, 0.2 * side, 0.1), (ahead, out * side, 0)
+        turn = {"axis": (0, 0, 1), "more": LIMIT.format(-0.6, 0.6)}
+        rolled += body + joint(f"{n}_spin", "continuous", "base", f"{n}_carrier", p=near)
+        rolled += joint(f"{n}_steer", "revolute", f"{n}_carrier", f"{n}_link", p=far, **turn)
+        right += body + joint(f"{n}_steer", "revolute", "base", f"{n}_carrier", p=near, **turn)
+        right += joint(f"{n}_spin", "continuous", f"{n}_carrier", f"{n}_link")
+    with pytest.raises(Unsupported, match="'a_steer' hangs on 'a_spin', which turns without end about a level axis"):
+        robot_of(chassis(rolled))
+    assert robot_of(chassis(right)).base.kind == "car_like"
+
+
+def test_powered_pivots_that_are_called_casters_steer_pairs_and_are_asked_about_above_one_wheel():
+    names = ("caster_fl", "caster_fr", "caster_rl", "caster_rr")
+    places = {n: (x, y, 0.1) for n, x, y in zip(names, (0.3, 0.3, -0.3, -0.3), (0.2, -0.2, 0.2, -0.2), strict=True)}
+    motor = '<transmission name="t_{0}"><joint name="{0}"/></transmission>'
+    single = "".join(on_swivel(n, p) + motor.format(n) + motor.format(f"{n}_swivel") for n, p in places.items())
+    with pytest.raises(Undecided) as error:
+        robot_of(chassis(single))
+    steer = error.value.fix.split()[1].split(",")
+    assert error.value.fix.startswith("--steer ") and robot_of(chassis(single), steer=steer).base.kind == "swerve"
+    kinds = [followed(chassis(single), way).base.kind for way in ways_of(error.value.fix)]
+    assert kinds == ["holonomic", "fixed"]
+    assert robot_of(chassis(single.replace("caster", "module"))).base.kind == "swerve"
+    pairs = "".join(
+        link(f"{n}_fork", 0.3, 0.002)
+        + joint(f"{n}_swivel", "continuous", "base", f"{n}_fork", p=p, axis=(0, 0, 1))
+        + "".join(wheel(f"{n}_{k}", (0, y, 0), parent=f"{n}_fork") + motor.format(f"{n}_{k}") for k, y in SIDES_OF)
+        + motor.format(f"{n}_swivel")
+        for n, p in places.items()
+    )
+    assert robot_of(chassis(pairs)).base.kind == "swerve"
+
+
+SIDES_OF = (("l", 0.05), ("r", -0.05))
+
+
 def test_a_virtual_wheel_that_others_mimic_is_the_master():
     virtual = link("v_link", 0.1) + joint(
         "virtual", "revolute", "base", "v_link", p=(0.5, 0, 0.1), axis=(0, 0, 1), more=LIMIT.format(-0.6, 0.6)

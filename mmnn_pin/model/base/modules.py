@@ -47,7 +47,7 @@ WEIGHTS = {  # of what is seen of a module, for each role, as of `model.signs`; 
     "have stops": (4.5, -4.5, -4.5, 0.0, 0.0),
     "trail as casters do": (-3.5, 3.0, 3.0, 0.0, 0.0),
     "trail a little": (0.0, 1.5, -4.0, 0.0, 0.0),
-    "no trail: casters could not follow": (1.0, -1.0, -5.0, 0.0, 0.0),
+    "no trail: casters could not follow": (1.0, -1.0, 0.0, 0.0, 0.0),
     "wheels as large as those that do not turn aside": (0.0, -1.6, 0.0, 0.0, 0.0),  # of casters few are
     "make an axle of their own": (3.0, 0.0, 0.0, 0.0, 0.0),
     "have motors": (3.0, -3.0, 3.0, 4.0, -4.0),
@@ -58,6 +58,7 @@ WEIGHTS = {  # of what is seen of a module, for each role, as of `model.signs`; 
     "the file names no motors": (0.0, 0.0, 2.0, 0.0, 0.0),
     "called steering": (1.5, 0.0, 0.0, 1.5, 0.0),
     "called casters": (0.0, 1.5, 0.0, 0.0, 0.0),
+    "called casters, with one wheel right below": (-5.5, 1.5, 0.0, 0.0, 0.0),  # as some draw mecanum wheels
     "called hitches": (0.0, 0.0, 0.0, 0.0, 1.5),
     "called waists": (0.0, 0.0, 0.0, 1.5, 0.0),
 }
@@ -156,7 +157,7 @@ def undercarriages(rest: AtRest, candidates: Candidates, overrides: Overrides) -
     Raises:
         UnknownName: A joint that the user names and the robot does not have.
         ConfigError: It is no pivot with wheels.
-        Unsupported: A joint steers by its name, about a level axis.
+        Unsupported: A joint steers by its name, about a level axis, or hangs on one that turns without end about one.
     """
     wheels = [c for c in candidates.wheels if c.mount != "leg" and not math.isnan(c.radius)]
     above = {c.joint.name: pivots_above(rest, c.joint, wheels) for c in wheels}
@@ -208,7 +209,8 @@ def roles_for(rest: AtRest, m: Module, under: Undercarriage, overrides: Override
         return ["hitch"]
     if body:
         return ["waist", "hitch"] if not m.carrier else ["hitch"]
-    return ["caster", "steered", "powered"]
+    free = ["caster", "powered"] if abs(m.lever(rest)[0]) > TRAIL else ["caster"]  # a wheel under it could not turn it
+    return [*free, "steered"]
 
 
 # -- signs -------------------------------------------------------------------------------------------------------------
@@ -251,7 +253,8 @@ def seen_of(rest: AtRest, some: Sequence[Module], under: Undercarriage) -> Itera
         yield "the file names no motors", ""
     for named, pattern in NAMES.items():
         if any(pattern.search(f"{m.joint.name} {m.joint.child}") for m in some):
-            yield named, ""
+            below = named == "called casters" and not little and len(first.wheels) == 1
+            yield f"{named}, with one wheel right below" if below else named, ""
 
 
 def signs_of_words(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Iterator[Sign]:
@@ -338,6 +341,7 @@ def without_spin(
         on_floor = [s for s in shapes if s.kind == "cylinder" and s.rolls and touches(s.lowest, s.radius, candidates)]
         if steers and alone and on_floor and joint.name not in taken and joint.type != "prismatic":
             s = on_floor[0]
+            refuse_rolled(rest, joint)
             wheel = Candidate(joint, s.pose[:3, 2], s.pose[:3, 3], s.radius, "cylinder", "steering", 0.0)
             found[joint.name] = Module(joint, [wheel], spins=False)
     virtual = {m.joint.mimics: m for m in found.values() if m.joint.mimics in rest.document.joints}
@@ -347,6 +351,15 @@ def without_spin(
             at = np.array([*rest.hub(joint)[:2], m.wheels[0].centre[2]])
             found[str(name)] = Module(joint, [replace(m.wheels[0], joint=joint, centre=at)], spins=False)
     return [m for m in found.values() if m.joint.mimics not in found]
+
+
+def refuse_rolled(rest: AtRest, pivot: Joint) -> None:
+    """Refuse a pivot with its wheel on a joint that turns without end about a level axis (`Unsupported`)."""
+    for spin in rest.document.moving_ancestors(pivot.child)[1:]:
+        if spin.turns_freely and rest.is_horizontal(spin):
+            why = f"pivot '{pivot.name}' hangs on '{spin.name}', which turns without end about a level axis"
+            fix = f"let the body carry '{pivot.name}', and that '{spin.name}' with the wheel"
+            raise unsupported(rest, "car-like base", why, (), fix)
 
 
 def touches(lowest: float, radius: float, candidates: Candidates) -> bool:
