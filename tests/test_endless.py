@@ -79,6 +79,8 @@ def made(kind: str, path: Path) -> Path:
             file.truncate(10**12)  # of nothing: it takes no room
     elif kind == "pointer":
         path.write_text(POINTED)
+    elif kind == "latin 1":
+        path.write_bytes(b"joints: [\xe9]\n")
     else:
         path.symlink_to(kind)
     return path
@@ -206,6 +208,18 @@ def test_a_pipe_beside_a_robot_keeps_nobody_waiting(tmp_path: Path) -> None:
         os.mkfifo(tmp_path / name / "package.xml")
     begun = time.monotonic()
     assert main(["inspect", str(robot)]) in (0, 2)
+    assert time.monotonic() - begun < PATIENCE
+
+
+@pytest.mark.parametrize("kind", [*FILES, "nowhere", "latin 1"])
+@pytest.mark.parametrize("name", ["a.yaml", "config/a.yml", "a.srdf", "config/a.srdf", "README.md"])
+def test_what_lies_beside_a_robot_keeps_it_from_nobody(kind: str, name: str, tmp_path: Path) -> None:
+    shutil.copy(ROOT / "urdf" / "platform_arm.urdf", tmp_path / "robot.urdf")
+    (tmp_path / "package.xml").write_text("<package><name>robot</name></package>")
+    (tmp_path / "config").mkdir()
+    made(kind, tmp_path / name)
+    begun = time.monotonic()
+    assert main(["inspect", str(tmp_path / "robot.urdf")]) == 0
     assert time.monotonic() - begun < PATIENCE
 
 

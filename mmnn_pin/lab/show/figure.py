@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
 from itertools import cycle
@@ -337,17 +339,26 @@ def save(figure: Figure, path: str | Path, force: bool = True) -> Path:
         fix = f"end its name in {', '.join(f'.{known}' for known in FORMATS)}"
         raise RecordingError("cannot write the figure", why=f"unknown format '{path.suffix}'", fix=fix, file=path)
     undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(suffix, {})
-    with whole_file(path, "figure", force) as part, rc_context(RC):
+    with whole_file(path, "figure", force) as part, rc_context(RC), without_glyphs():
         figure.savefig(part, format=suffix, dpi=160, metadata=undated)
         if suffix == "png":
             thin(part)
     return path
 
 
+@contextmanager
+def without_glyphs() -> Iterator[None]:
+    """Draw boxes for letters that the font lacks, without a warning for each."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph ")
+        yield
+
+
 def svg(figure: Figure) -> str:
     """A figure as an SVG element."""
     file = io.StringIO()
-    figure.savefig(file, format="svg", metadata={"Date": None})
+    with without_glyphs():
+        figure.savefig(file, format="svg", metadata={"Date": None})
     text = file.getvalue()
     return text[text.index("<svg") :]
 

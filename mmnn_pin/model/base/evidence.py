@@ -384,7 +384,16 @@ def beside(rest: AtRest) -> list[Path]:
     folders = [package, *(f for f in siblings(package) if stem and f.name.startswith(stem) and f != package)]
     places = [folder / place for folder in folders for place in ("", "config", "params")]
     files = [file for place in places for file in place.glob("*.y*ml")]
-    return [file for file in files[:YAMLS] if file.stat().st_size < LONGEST]
+    return [file for file in files[:YAMLS] if is_readable(file)]
+
+
+def is_readable(file: Path) -> bool:
+    """Whether a file is a plain text of bounded size: what merely lies there keeps no robot from being loaded."""
+    try:
+        lines_of(str(file))
+    except ConfigError:
+        return False
+    return True
 
 
 def own_package(rest: AtRest) -> Path | None:

@@ -24,6 +24,7 @@ from mmnn_pin.lab.show.figure import (
     save,
     styles_of,
     styles_of_controllers,
+    svg,
 )
 from mmnn_pin.lab.show.gallery import PICTURES
 from mmnn_pin.lab.show.plots import errors_figure, path_figure, psi_figure, torque_figure
@@ -262,6 +263,12 @@ def test_empty_runs_and_strange_names_do_no_harm(what, tmp_path):
     none = recording(layout=layout, rows=0, outcome=Outcome("tripped", 0.0))
     runs = {"$x_{$": recording(layout=layout), "none": none, "one": recording(layout=layout, rows=1)}
     save(PICTURES[what].make(runs), tmp_path / "odd.svg")
+
+
+def test_letters_that_the_font_lacks_warn_nobody(tmp_path, recwarn):
+    figure = torque_figure({"\u80d8\x9b": recording(layout=FIXED), "pd": recording("pd", layout=FIXED)})
+    save(figure, tmp_path / "odd.png")
+    assert svg(figure) and [str(one.message) for one in recwarn] == []
 
 
 @pytest.mark.parametrize(("name", "magic"), [("a.png", b"\x89PNG"), ("new/a.SVG", b"<?xml"), ("a.pdf", b"%PDF")])
