@@ -204,6 +204,18 @@ def test_powered_pivots_that_are_called_casters_steer_pairs_and_are_asked_about_
     assert robot_of(chassis(pairs)).base.kind == "swerve"
 
 
+def test_four_pivots_that_do_not_trail_may_all_steer_though_motors_tell_two_apart():
+    corners = zip(("fl", "fr", "rl", "rr"), (0.3, 0.3, -0.3, -0.3), (0.2, -0.2, 0.2, -0.2), strict=True)
+    text = "".join(on_swivel(f"steer_{n}", (x, y, 0.1)) for n, x, y in corners)
+    motors = '<transmission name="t_{0}"><joint name="{0}"/></transmission>'
+    text = chassis(text + motors.format("steer_fl") + motors.format("steer_fr"))
+    with pytest.raises(Undecided, match="no trail: casters could not follow") as error:
+        robot_of(text)
+    assert "--wheels" not in error.value.fix and error.value.fix.startswith("--steer ")
+    robot = robot_of(text, steer=error.value.fix.split()[1].split(","))
+    assert robot.base.kind == "swerve" and len(robot.base.pivots) == 4
+
+
 SIDES_OF = (("l", 0.05), ("r", -0.05))
 
 

@@ -136,6 +136,12 @@ class Undercarriage(NamedTuple):
             return False
         return not (powered and (self.fixed or steered)) and bool(self.fixed or steered or powered)
 
+    def in_line(self, rest: AtRest) -> bool:
+        """Whether it is held by steered wheels on one line alone, though others may steer, as they do not trail."""
+        wheels, others = [c for m in self.of("steered") for c in m.wheels], self.of("caster")
+        alone = bool(wheels) and not self.fixed and on_line(wheels)
+        return alone and any(not m.trails(rest) for m in others)
+
     def without_trailers(self, candidates: Candidates) -> Candidates:
         """The wheels that were found, but for those of trailers."""
         trailing = {c.joint.name for m in self.of("hitch") for c in m.wheels}
@@ -172,7 +178,8 @@ def undercarriages(rest: AtRest, candidates: Candidates, overrides: Overrides) -
     modules.sort(key=lambda m: len(rest.document.moving_ancestors(m.joint.child)))
     require_pivots(rest, modules, overrides)
     motors = motors_named(rest, overrides.controllers_file)
-    return list(with_roles(rest, Undercarriage(modules, fixed, motors), overrides))
+    found = list(with_roles(rest, Undercarriage(modules, fixed, motors), overrides))
+    return [under for under in found if not under.in_line(rest)] or found
 
 
 def with_roles(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Iterator[Undercarriage]:
