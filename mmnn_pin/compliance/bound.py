@@ -24,7 +24,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from ..elementary import cos_sin
 from ..errors import ConfigError
@@ -183,7 +183,7 @@ def radius(F: Array, asks: Array, M: Array, wall: Array, held: Held) -> float:
         rates[p + e, p:] -= M_inv @ (held.friction[e] + YIELDING * wall[e])
         B[p + e] = -pull @ B[p + s]
         B[np.ix_(p + e, e)] += M_inv
-    whole = expm(np.block([[rates, B], [np.zeros((p, 3 * p))]]) * held.period)
+    whole = scipy.linalg.expm(np.block([[rates, B], [np.zeros((p, 3 * p))]]) * held.period)
     state, torque = whole[: 2 * p, : 2 * p], whole[: 2 * p, 2 * p :]
     late = math.ceil(held.delay / held.period - 1e-9)
     if not late:

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
+import scipy  # its parts are slow to import, and come when they are used
 
 from ..compiled import one_thread
 from ..model.base.base import LinearErrors
@@ -240,7 +240,7 @@ def over_a_period(A: Array, B: Array, nu: slice, h: float) -> tuple[Array, Array
     (size, m), p = B.shape, nu.stop - nu.start
     whole = np.zeros((size + m + p, size + m + p))
     whole[:size, :size], whole[:size, size : size + m], whole[size + m :, nu] = A, B, np.eye(p)
-    held = expm(whole * h)
+    held = scipy.linalg.expm(whole * h)
     return held[:size, :size], held[:size, size : size + m], held[size + m :, : size + m] / h
 
 
@@ -372,8 +372,6 @@ def sag(dynamics: Dynamics, position: Array, springs: Array, free: IntArray) -> 
     Returns:
         None for a robot that feels no gravity, or without springs.
     """
-    from scipy.optimize import minimize  # slow to import, seldom needed
-
     robot = dynamics.robot
     arm, nb = robot.arm_index[free], robot.dimensions.base
     wanted, k = position[arm].copy(), springs[free]
@@ -389,7 +387,7 @@ def sag(dynamics: Dynamics, position: Array, springs: Array, free: IntArray) -> 
 
     if not (dynamics.feels_gravity and k.min(initial=np.inf) > 0.0 and arm.size):
         return None
-    down = minimize(energy, TINY * np.sqrt(k), jac=True, method="BFGS")
+    down = scipy.optimize.minimize(energy, TINY * np.sqrt(k), jac=True, method="BFGS")
     position[arm] = wanted + down.x / np.sqrt(k)
     robot.follow(position)
     slope, found = weight_slope(robot, dynamics.gravity, position), np.zeros((springs.size, springs.size))

@@ -141,6 +141,11 @@ class Recording:
         for where in self.damage:
             self._require_intact(where)
 
+    def read_signals(self) -> None:
+        """Read all signals, the file opened once for all; a damaged one raises (`RecordingError`)."""
+        if self.path is not None and self._signals.keys() != self._columns.keys():
+            self._signals |= self._read("signals")
+
     def fact(self, name: str, kind: type[T]) -> T:
         """A fact of the run as settings of a kind.
 

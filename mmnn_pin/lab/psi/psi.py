@@ -34,7 +34,7 @@ FLAT = 1e-9  # spread of Psi, relative to its size, below which it has no varian
 PARTS = ("feedback", "network", "robust")
 WINDOWS = 5
 MOST = 20_000  # rows of a run along which frozen weights are evaluated, evenly spread
-FEW = 2_500  # of these, those at which Pinocchio tells the Psi of the robot with a payload
+FEW = 1_000  # of these, those at which Pinocchio tells the Psi of the robot with a payload
 ProgressCallback = Callable[[str, float], None]
 
 

@@ -233,6 +233,7 @@ def finite_rows(recording: Recording, layout: Layout) -> Array:
     Raises:
         RecordingError: A signal has other columns than those of the robot.
     """
+    recording.read_signals()
     rows = np.zeros((len(recording), layout.width))
     for name in recording:
         where = layout.where(name)

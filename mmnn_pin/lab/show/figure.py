@@ -340,7 +340,8 @@ def save(figure: Figure, path: str | Path, force: bool = True) -> Path:
         raise RecordingError("cannot write the figure", why=f"unknown format '{path.suffix}'", fix=fix, file=path)
     undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(suffix, {})
     with whole_file(path, "figure", force) as part, rc_context(RC), without_glyphs():
-        figure.savefig(part, format=suffix, dpi=160, metadata=undated)
+        packing: Any = {"pil_kwargs": {"compress_level": 1}} if suffix == "png" else {}  # packed well by `thin`
+        figure.savefig(part, format=suffix, dpi=160, metadata=undated, **packing)
         if suffix == "png":
             thin(part)
     return path
