@@ -227,6 +227,7 @@ def schema(name: str) -> dict[str, Any]:
 def narrower() -> dict[str, dict[str, Any]]:
     """Struct to key to schema of what the types of Python say too little of: tables with a `type`, names, files."""
     from ..lab.experiments import references as r
+    from ..lab.show.gallery import PICTURES
     from ..loop.loop import PLANTS
     from ..loop.servo import EFFORT, POSITION, VELOCITY
     from ..model.base import KINDS
@@ -237,8 +238,9 @@ def narrower() -> dict[str, dict[str, Any]]:
     arm = {"anyOf": [{"type": "array", "items": profile}, one_of({"swing": r.Swing, **r.ARM_PROFILES})]}
     reference = {"base": one_of(r.BASE_PATHS), "heading": profile, "arm": arm}
     hardware = {"anyOf": [{"$ref": "#/$defs/HardwareTable"}, {"type": "string"}]}
+    plots = {"type": "array", "items": {"enum": [*PICTURES]}}
     return {
-        "Experiment": {"plant": {"enum": [*PLANTS]}, "interfaces": interfaces, "hardware": hardware},
+        "Experiment": {"plant": {"enum": [*PLANTS]}, "plots": plots, "interfaces": interfaces, "hardware": hardware},
         "Overrides": {key: {"enum": [*known]} for key, known in (("base", KINDS), ("arm", ARMS), ("forward", FORWARD))},
         "ReferenceTables": reference,
         "HeldOutReference": reference,

@@ -162,7 +162,13 @@ WRONG = {  # a key, a type, a name
         *("sede = 1", "time.duraton = 3.0", "reference.base.sped = 1.0", "cases.a.sett = {}", "overrides.weels = 1"),
         *("feedback.arm = 'fast'", "seed = 1.5", "reference.base = {type = 'line', speed = 'x'}", "masses = 'a'"),
         *("reference.base.type = 'lin'", "reference.arm = [{type = 'sin'}]", "reference.hand.path = [{type = 'arc'}]"),
-        *("plant = 'contac'", "time.integrator = 'rk5'", "interfaces.a = 'velo'", "overrides.base = 'tank'"),
+        *(
+            "plots = ['erors']",
+            "plant = 'contac'",
+            "time.integrator = 'rk5'",
+            "interfaces.a = 'velo'",
+            "overrides.base = 'tank'",
+        ),
         *("hardware.arm.interface = 'velocty'", "hardware.arm.bandwith = 1.0", "held_out.a.heading.type = 'sin'"),
     ],
     "study": [

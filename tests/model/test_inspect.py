@@ -113,6 +113,17 @@ def test_it_tells_how_to_run_a_robot_on_its_hardware_and_the_line_works_as_it_st
     assert interface_notes(load_experiment("track"), load("platform_arm")) == []  # its URDF offers nothing
 
 
+@needs_data
+@pytest.mark.parametrize("name", ["tiago", "so101", "ur5", "xarm7"])
+def test_a_note_on_torques_names_the_hardware_that_inspect_proposes_and_that_drives_each_as_offered(name, call):
+    track = load_experiment("track", [f'robot="{name}"'])
+    [told] = interface_notes(track, track.load_robot())
+    hardware = json.loads(call("inspect", name, "--json")[1])["hardware"]["profile"]
+    assert told.endswith(f"--hardware {hardware} drives each as offered")
+    followed = load_experiment("track", [f'robot="{name}"', f'hardware="{hardware}"'])
+    assert not [note for note in interface_notes(followed, followed.load_robot()) if "offers no torque" in note]
+
+
 def test_the_first_lines_say_what_was_understood_and_a_run_says_them_too(call):
     file = written(Drive(track=0.5).urdf())
     said = ["base: differential drive, left left, right right, radius 0.1 m, track 0.5 m, forward x"]

@@ -12,6 +12,7 @@ from statistics import median
 
 import numpy as np
 
+from ...recording.metrics import judged
 from ...recording.recording import Recording, as_columns
 from ...signals import Array
 
@@ -99,6 +100,23 @@ def lost_places(errors: Mapping[str, float]) -> dict[str, float]:
     """
     peaks = {key: value for key, value in errors.items() if key.startswith(POSITIONS) and key.endswith(".peak")}
     return {key: value for key, value in peaks.items() if value >= LOST and key != "pose_error.phi.peak"}
+
+
+def worst_loss(recording: Recording, errors: Mapping[str, float]) -> str:
+    """The metric by which a run is lost most; empty where it is not: what begins as far off is no loss.
+
+    Args:
+        recording: The run.
+        errors: Its metrics [rad or m].
+    """
+    places = {k: peak for k, peak in lost_places(errors).items() if abs(error_of(recording, k)[0]) < LOST}
+    return max(places, key=places.__getitem__, default="")
+
+
+def error_of(recording: Recording, key: str) -> Array:
+    """The error that a peak is of, `SIGNAL.LABEL.peak`, (k,)."""
+    signal, label = key.removesuffix(".peak").split(".", 1)
+    return as_columns(recording[judged(recording, signal)])[:, recording.labels(signal).index(label)]
 
 
 def rank(own: Mapping[str, float]) -> float:

@@ -25,7 +25,7 @@ from .beside_plain import worse_than_plain
 from .controllers import LEARNERS, effective
 from .experiment import Experiment
 from .hand import HandErrors
-from .outliers import outliers
+from .outliers import outliers, worst_loss
 from .thesis import beside_the_thesis, figure_ranges
 
 WORSE = "worse than plain control"  # outcome of a learner's run that was completed, and should not have been
@@ -150,6 +150,12 @@ class Result(Mapping[str, Recording]):
     def worse(self) -> dict[str, str]:
         """Learner to why it is worse than plain control, for those that are."""
         return worse_than_plain(self.recordings, self.plain)
+
+    @cached_property
+    def lost(self) -> dict[str, str]:
+        """Run to the metric by which it is lost most (`worst_loss`), for those that are."""
+        found = {name: worst_loss(recording, self.metrics[name]) for name, recording in self.recordings.items()}
+        return {name: key for name, key in found.items() if key}
 
     def outliers(self) -> list[str]:
         """Runs that throw a joint about, or shake a motor, as no other run does: a sentence each."""

@@ -30,6 +30,7 @@ from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
 from .hand import hand_errors, hand_motion
 from .hardware import lines
+from .hardware_table import proposed
 from .pushing import pushing_numbers
 from .result import Result
 
@@ -163,7 +164,7 @@ def interface_notes(experiment: Experiment, robot: Robot) -> list[str]:
     found = [f"driven {'; '.join(driven)}{end}"] if driven else []
     if unoffered:
         many = f"{unoffered[0]} and {len(unoffered) - 1} more" if len(unoffered) > 1 else unoffered[0]
-        fix = "--hardware unknown drives each as offered"
+        fix = f"--hardware {proposed(robot)} drives each as offered"
         found.append(f"the URDF offers no torque at {many}, this run uses it; {fix}")
     return found
 

@@ -129,7 +129,7 @@ def brief_hand(result: Result) -> Iterator[Row]:
     for key in ("position_rms_mm", "orientation_rms_mrad"):
         values = {c: max((x for v in h if (x := v[key]) is not None), default=math.nan) for c, h in every.items()}
         if not all(map(math.isnan, values.values())):
-            yield row_of(HAND_ROWS[key][0], *marked(values))
+            yield row_of(HAND_ROWS[key][0], *marked(result, values))
 
 
 def brief_errors(result: Result, key: str) -> Iterator[Row]:
@@ -137,21 +137,20 @@ def brief_errors(result: Result, key: str) -> Iterator[Row]:
     recording = next(iter(result.recordings.values()))
     if "pose_error" in recording:
         both = {c: [m[f"pose_error.{label}.{key}"] for label in "xy"] for c, m in result.metrics.items()}
-        yield row_of("base [mm]", *marked({c: 1e3 * math.hypot(*xy) for c, xy in both.items()}))
-        yield row_of(
-            "base heading [mrad]", *marked({c: 1e3 * m[f"pose_error.phi.{key}"] for c, m in result.metrics.items()})
-        )
+        yield row_of("base [mm]", *marked(result, {c: 1e3 * math.hypot(*xy) for c, xy in both.items()}))
+        turned = {c: 1e3 * m[f"pose_error.phi.{key}"] for c, m in result.metrics.items()}
+        yield row_of("base heading [mrad]", *marked(result, turned))
     joints = list(zip(recording.labels("e"), column_units(recording, "e"), strict=True)) if "e" in recording else []
     if len(joints) <= FEW:
         for label, unit in joints:
             values = {c: 1e3 * m[f"e.{label}.{key}"] for c, m in result.metrics.items()}
-            yield row_of(f"{label} [{milli(unit)}]", *marked(values))
+            yield row_of(f"{label} [{milli(unit)}]", *marked(result, values))
         return
     for unit in dict.fromkeys(unit for _, unit in joints):
         own = [label for label, other in joints if other == unit]
         values = {c: max(1e3 * m[f"e.{label}.{key}"] for label in own) for c, m in result.metrics.items()}
         which = f"worst of {len(own)} joints" if len(own) > 1 else own[0]
-        yield row_of(f"{which} [{milli(unit)}]", *marked(values))
+        yield row_of(f"{which} [{milli(unit)}]", *marked(result, values))
 
 
 def brief_rest(result: Result) -> Iterator[Row]:
@@ -192,7 +191,9 @@ def notes_of(result: Result) -> tuple[str, ...]:
     oracles = [name for name in result.recordings if name in ORACLES]
     notes = []
     if len(result.recordings) - len(oracles) > 1:
-        notes.append(f"* best in its row; {oracles[0]} does not compete." if oracles else "* best in its row.")
+        out = " and ".join([*oracles[:1], *["runs that are lost"] * (0 < len(result.lost) < len(result.recordings))])
+        are = "do" if result.lost else "does"
+        notes.append(f"* best in its row; {out} {are} not compete." if out else "* best in its row.")
     if oracles:
         notes.append(f"{oracles[0]} knows the true model.")
     if any(name in MODELS for name in result.recordings):
@@ -215,7 +216,7 @@ def error_rows(result: Result) -> Iterator[Row]:
             for key, words in statistics.items():
                 first = f"{TITLES[name]} {label} [{milli(unit)}]" if key == "peak" else ""
                 values = {c: 1e3 * m[f"{name}.{label}.{key}"] for c, m in result.metrics.items()}
-                yield row_of(first, words, *marked(values))
+                yield row_of(first, words, *marked(result, values))
 
 
 def push_rows(result: Result, brief: bool = False) -> Iterator[Row]:
@@ -232,11 +233,12 @@ def rms(start: float, stop: float, end: float) -> str:
     return f"RMS {start:g}-{min(stop, end):g} s"
 
 
-def marked(values: dict[str, float]) -> list[Cell]:
-    """Values with a star at the smallest one of the controllers without the true model."""
-    fair = [v for c, v in values.items() if c not in ORACLES and math.isfinite(v)]
-    best = min(fair) if len(fair) > 1 else None
-    wins = (value == best and controller not in ORACLES for controller, value in values.items())
+def marked(result: Result, values: dict[str, float]) -> list[Cell]:
+    """Values with a star at the smallest one of the controllers without the true model, lost ones behind all others."""
+    fair = {c: v for c, v in values.items() if c not in ORACLES and math.isfinite(v)}
+    kept = {c: v for c, v in fair.items() if c not in result.lost} or fair
+    best = min(kept.values()) if len(fair) > 1 else None
+    wins = (value == best and controller in kept for controller, value in values.items())
     return [Cell(number(v), *(("best", "*") if w else ())) for v, w in zip(values.values(), wins, strict=True)]
 
 
@@ -290,7 +292,7 @@ def other_rows(result: Result) -> Iterator[Row]:
         yield row_of("mean effective gain", part, *(number(gain) if gain else "-" for gain in gains))
     if any("delay_margin" in run.meta for run in result.recordings.values()):
         yield row_of("delay margin [ms]", "", *(margin_cell(run) for run in result.recordings.values()))
-    yield row_of("outcome", "", *(outcome_cell(run, name in result.worse) for name, run in result.recordings.items()))
+    yield row_of("outcome", "", *(outcome_cell(result, name) for name in result.recordings))
 
 
 def margin_cell(recording: Recording) -> str:
@@ -299,14 +301,14 @@ def margin_cell(recording: Recording) -> str:
     return "-" if margin is None else f"{1e3 * margin:.3g}"
 
 
-def outcome_cell(recording: Recording, worse: bool = False) -> Cell:
-    """The end of a run; bad unless it was completed and is not worse than plain control."""
-    status = recording.outcome.status
-    if worse:
+def outcome_cell(result: Result, name: str) -> Cell:
+    """The end of a run; bad unless it was completed, is not lost, and is not worse than plain control."""
+    outcome = result.recordings[name].outcome
+    if name in result.worse:
         return Cell("worse\nthan plain\ncontrol", "bad")
-    if status == "completed":
-        return Cell("done", "good")
-    return Cell(f"{status}\nat {recording.outcome.time:.3g} s", "bad")
+    if outcome.status != "completed":
+        return Cell(f"{outcome.status}\nat {outcome.time:.3g} s", "bad")
+    return Cell("lost", "bad") if name in result.lost else Cell("done", "good")
 
 
 def notes(result: Result) -> list[str]:
@@ -325,7 +327,8 @@ def hand_table(result: Result) -> Table:
             values = {name: math.nan if v[key] is None else float(v[key]) for name, v in every.items()}
             if not all(map(math.isnan, values.values())):
                 which = about.replace("hand", hands[0].frame) if several else about
-                rows.append(row_of(which, words, *(marked(values) if key in MARKED else map(number, values.values()))))
+                cells = marked(result, values) if key in MARKED else map(number, values.values())
+                rows.append(row_of(which, words, *cells))
     robot = recorded_robot(next(iter(result.recordings.values())))
     speeds = {name: peak_speeds(recording, robot) for name, recording in result.recordings.items()}
     for i, joint in enumerate(next(iter(speeds.values()))):

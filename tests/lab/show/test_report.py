@@ -25,6 +25,7 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.show.comparison import brief
 from mmnn_pin.lab.show.figure import STYLES, in_the_dark
 from mmnn_pin.lab.show.files import HtmlPage
 from mmnn_pin.lab.show.report import MOST, best_of, command_of, kept_rows, report, result_of, subject
@@ -296,7 +297,8 @@ def test_no_headline_praises_a_run_that_is_lost(peaks: list[float]) -> None:
     """A joint errs by 1 rad: as the judge counts it; read from the sentences, beside the peaks that were drawn."""
     robot, names = load("platform_arm"), ("pd_gravity", "pid", "feedforward", "learned")
     drawn = dict(zip(names, peaks, strict=False))
-    found = verdict(result_of({name: recorded(robot, name, change=of_peak(peak)) for name, peak in drawn.items()}))
+    result = result_of({name: recorded(robot, name, change=of_peak(peak)) for name, peak in drawn.items()})
+    found, table = verdict(result), brief(result)
     lost_ones, best = {name for name, peak in drawn.items() if peak >= 1}, min(drawn, key=lambda name: drawn[name])
     told = {name for text in found.warnings if "lost: arm_2_joint" in text for name in names if name in text}
     if lost_ones == set(drawn):
@@ -307,6 +309,13 @@ def test_no_headline_praises_a_run_that_is_lost(peaks: list[float]) -> None:
     else:
         assert told == lost_ones and "lost" not in found.headline
         assert not lost_ones & set(re.findall(r"\w+", found.headline.partition(":")[0]))
+    cells = {name: [row.cells[1 + i] for row in table.rows] for i, name in enumerate(drawn)}
+    starred = {name for name in drawn if any(cell.mark == "*" for cell in cells[name])}
+    ends = {name: cells[name][-1].text.split("\n")[0] for name in drawn}
+    assert {name for name in drawn if ends[name] in ("lost", "worse")} == lost_ones | {*result.worse}
+    assert bool(starred) == (len(drawn) > 1) and (not starred & lost_ones or lost_ones == set(drawn))
+    told_out = "runs that are lost do not compete" in table.caption
+    assert told_out == (0 < len(lost_ones) < len(drawn))
 
 
 def test_a_motor_that_cannot_hold_its_joint_is_in_the_headline_and_a_start_far_off_is_not() -> None:

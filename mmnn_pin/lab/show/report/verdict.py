@@ -13,11 +13,9 @@ import numpy as np
 from ....errors import InputError
 from ....loop.reductions import percent
 from ....recording.metrics import halves
-from ....recording.metrics import judged as judged_signal
-from ....recording.recording import Recording, as_columns, recorded_robot
-from ....signals import Array
+from ....recording.recording import Recording, recorded_robot
 from ...experiments.controllers import LEARNERS, ORACLES, PLAIN, USUAL, effective
-from ...experiments.outliers import LOST, farthest, lost_places, shown
+from ...experiments.outliers import farthest, shown
 from ...experiments.result import Improvement, Result, unfair
 from ...experiments.runner import weak_joints
 from ...psi.judgement import Judgement, judgement_of, with_part
@@ -114,29 +112,17 @@ def pushed(result: Result) -> str:
 
 def lost_in(result: Result, name: str) -> str:
     """Where a run is lost, and by how much: its worst joint or axis of the base; empty where it is not."""
-    if key := worst_loss(result, name):
-        _, label, unit = column_of(result.recordings[name], key)
+    if key := result.lost.get(name):
+        signal, label = key.removesuffix(".peak").split(".", 1)
+        recording = result.recordings[name]
+        unit = column_units(recording, signal)[recording.labels(signal).index(label)]
         return f"{label} errs by up to {number(result.metrics[name][key])} {unit}"
     return ""
 
 
-def worst_loss(result: Result, name: str) -> str:
-    """The metric by which a run is lost most; empty where it is not: what begins as far off is no loss."""
-    recording, places = result.recordings[name], lost_places(result.metrics[name])
-    places = {key: peak for key, peak in places.items() if abs(column_of(recording, key)[0][0]) < LOST}
-    return max(places, key=lambda key: places[key], default="")
-
-
-def column_of(recording: Recording, key: str) -> tuple[Array, str, str]:
-    """Values (k,), label and unit of the error that a peak is of, `SIGNAL.LABEL.peak`."""
-    signal, label = key.removesuffix(".peak").split(".", 1)
-    place, values = recording.labels(signal).index(label), as_columns(recording[judged_signal(recording, signal)])
-    return values[:, place], label, column_units(recording, signal)[place]
-
-
 def too_weak(result: Result, name: str) -> str:
     """That the joint by which a run is lost most has a motor too weak to hold it; empty where that is not known."""
-    joint = worst_loss(result, name).removeprefix("e.").removesuffix(".peak")
+    joint = result.lost[name].removeprefix("e.").removesuffix(".peak")
     with suppress(InputError):  # its robot cannot be made again
         if why := weak_joints(recorded_robot(result.recordings[name])).get(joint):
             return f", as its motor cannot hold it ({why})"
@@ -191,7 +177,7 @@ def ranking(result: Result) -> tuple[dict[str, float], list[str]]:
         and recording.outcome.status == "completed"
         and math.isfinite(scores[name])
     ]
-    kept = [name for name in judged if not worst_loss(result, name)] or judged
+    kept = [name for name in judged if name not in result.lost] or judged
     return scores, sorted(kept, key=lambda name: scores[name])
 
 
@@ -309,11 +295,11 @@ def lost_runs(result: Result) -> Iterator[str]:
     """Completed runs that are lost, where another is not: those of one joint or axis together."""
     found: dict[str, list[str]] = {}
     for name, recording in result.recordings.items():
-        if recording.outcome.status == "completed" and (key := worst_loss(result, name)):
+        if recording.outcome.status == "completed" and (key := result.lost.get(name)):
             found.setdefault(key, []).append(name)
     if sum(map(len, found.values())) < len(result.recordings):
         for names in found.values():
-            most = max(names, key=lambda name: result.metrics[name][worst_loss(result, name)])
+            most = max(names, key=lambda name: result.metrics[name][result.lost[name]])
             yield f"{listed(names)} {'are' if len(names) > 1 else 'is'} lost: {lost_in(result, most)}"
 
 
