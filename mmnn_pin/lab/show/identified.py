@@ -52,10 +52,11 @@ def check_text(report: dict[str, Any]) -> str:
     """The doctor's findings, worst first, on one screen."""
     found = report["findings"]
     count = sum(one["grade"] == "refused" for one in found)
-    head = f"{report['robot']}: {count} of {len(found)} findings contradict the physics: nothing would be written"
+    every = f"{len(found)} finding{'s' * (len(found) != 1)}"
+    head = f"{count} of {every} against the physics: nothing would be written"
     if not count:
-        head = f"{report['robot']}: nothing contradicts the physics" + (f", {len(found)} findings" if found else "")
-    parts: list[Any] = [TextLine(head, "bold")]
+        head = "nothing contradicts the physics" + (f", {every}" if found else "")
+    parts: list[Any] = [TextLine(f"{report['robot']}: {head}", "bold")]
     for one in found[:CHECKED]:
         about = f" ({one['why']})" if one["why"] else ""
         parts.append(f"{one['grade'].upper()}  {one['what']}{about}")
