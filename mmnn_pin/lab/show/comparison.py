@@ -327,8 +327,8 @@ def hand_table(result: Result) -> Table:
             values = {name: math.nan if v[key] is None else float(v[key]) for name, v in every.items()}
             if not all(map(math.isnan, values.values())):
                 which = about.replace("hand", hands[0].frame) if several else about
-                cells = marked(result, values) if key in MARKED else map(number, values.values())
-                rows.append(row_of(which, words, *cells))
+                texts = marked(result, values) if key in MARKED else map(number, values.values())
+                rows.append(row_of(which, words, *texts))
     robot = recorded_robot(next(iter(result.recordings.values())))
     speeds = {name: peak_speeds(recording, robot) for name, recording in result.recordings.items()}
     for i, joint in enumerate(next(iter(speeds.values()))):
