@@ -209,8 +209,8 @@ class Timing(Settings, frozen=True):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ConfigError(f"{value} s", fix="use a finite number of seconds > 0", key=f"time.{name}")
-        for name, whole in (("control_period", self.duration), ("plant_step", self.control_period)):
-            divide(whole, getattr(self, name), name)
+        divide(self.duration, self.control_period, "control_period", self.plant_step)
+        divide(self.control_period, self.plant_step, "plant_step")
         divide(self.sensor_period or self.control_period, self.plant_step, "plant_step")
 
     @property
@@ -239,8 +239,14 @@ class Timing(Settings, frozen=True):
         return divide(self.sensor_period or self.control_period, self.plant_step, "plant_step")
 
 
-def divide(whole: float, period: float, name: str) -> int:
+def divide(whole: float, period: float, name: str, step: float = 0.0) -> int:
     """How many periods make the whole.
+
+    Args:
+        whole: What they make [s].
+        period: The period [s].
+        name: Key of the period in `[time]`.
+        step: What divides the period that an error advises [s]; 0 for nothing.
 
     Raises:
         ConfigError: It is not a whole number of them, or more than can be handled.
@@ -257,14 +263,21 @@ def divide(whole: float, period: float, name: str) -> int:
         raise ConfigError(
             f"{period} s does not divide {whole} s",
             why=f"{whole} / {period} = {whole / period:.6g}",
-            fix=f"for example {round_period(whole, period):.12g}",
+            fix=f"for example {round_period(whole, period, step):.12g}",
             key=f"time.{name}",
         )
     return count
 
 
-def round_period(whole: float, period: float) -> float:
-    """A period near one that does not divide a whole, which does: one of few digits, where there is one near enough."""
+def round_period(whole: float, period: float, step: float = 0.0) -> float:
+    """A period near one that does not divide a whole, which does: one of few digits, where there is one near enough.
+
+    Where so many steps make the whole, some of them make the period.
+    """
+    steps = round(whole / step) if step else 0
+    if steps and abs(steps * step - whole) <= 1e-9 * whole:
+        low = [k for k in range(1, math.isqrt(steps) + 1) if steps % k == 0]
+        return step * min((*low, *(steps // k for k in low)), key=lambda k: abs(k * step - period))
     unit = float(f"1e{format(period, 'e').partition('e')[2]}")  # of its first digit
     for digits in range(3):
         step = unit / 10**digits

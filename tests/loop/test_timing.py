@@ -74,3 +74,19 @@ def test_the_period_that_is_advised_divides_and_is_near(period: float, whole: fl
     assert 0.5 <= advised / period <= 2.0
     if whole == 10.0 and abs(period - 0.0007) < 1e-9:
         assert advised == 0.0008
+
+
+@hypothesis.given(
+    st.floats(1e-3, 0.1), st.sampled_from([1.0, 2.5, 10.0, 30.0]), st.sampled_from([0.0005, 0.001, 0.0002, 0.0003])
+)
+def test_a_control_period_that_is_advised_is_taken_as_it_stands(period: float, duration: float, step: float) -> None:
+    """One that the plant's step does not divide would be refused the next time, where another can be had."""
+    try:
+        Timing(duration=duration, control_period=period, plant_step=step)
+    except ConfigError as error:
+        key = error.key
+        advised = float(str(error.fix).rsplit(" ", 1)[1])
+        if key != "time.control_period" or round(duration / step) * step != pytest.approx(duration, rel=1e-9):
+            return
+        assert Timing(duration=duration, control_period=advised, plant_step=step).control_period == advised
+        assert 0.4 <= advised / period <= 2.5
