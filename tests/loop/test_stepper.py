@@ -39,7 +39,7 @@ from mmnn_pin.lab.psi.judgement import Judgement
 from mmnn_pin.loop.setup import UNKNOWN
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.recording.recording import recorded_position
-from mmnn_pin.reference.wishes import HOLD, BaseVelocity
+from mmnn_pin.reference.wishes import HOLD, BaseVelocity, JointGoal
 from mmnn_pin.safety import RAMPING, Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Measurement, Setpoint
@@ -341,6 +341,22 @@ def test_a_trajectory_writes_the_setpoints_of_its_table():
     for k in range(loop.timing.samples):
         loop.trajectory.write(k * H, measured, setpoint)
         np.testing.assert_allclose(values, table[k], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("acceleration", [30.0, 100.0, 1000.0, 1e6])
+@pytest.mark.parametrize("velocity", [-5.0, 0.0, 5.0])
+def test_a_goal_behind_setpoints_of_any_acceleration_is_reached(velocity, acceleration):
+    zero, full = np.zeros(2), lambda q, qdot, qddot: Setpoint(np.zeros(3), np.zeros(2), np.zeros(2), q, qdot, qddot)
+    given = Measurement(np.zeros(3), np.zeros(2), zero, zero)
+    with Stepper(ROBOT, PD(GAINS), StepperSettings(period=H)) as cycle:
+        cycle.step(0.0, given)
+        for k in range(1, 6):
+            cycle.step(
+                k * H, given, full(np.array([0.0, 0.5]), np.array([0.0, velocity]), np.array([0.0, acceleration]))
+            )
+        for k in range(6, 2000):
+            cycle.step(k * H, given, JointGoal((0.2, -0.8)) if k == 6 else None)
+        np.testing.assert_allclose(cycle.setpoint.q, (0.2, -0.8), atol=1e-6)
 
 
 def test_setpoints_of_another_robot_or_not_finite_are_refused():
