@@ -231,7 +231,7 @@ def fuzz(
         last = min(first + batch, seed + files)
         while first < last:
             command = [sys.executable, __file__, "--work", str(first), str(last), *["--xacro"] * xacro, "--of", *of]
-            done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=600)
+            done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=60 * (last - first) + 600)
             lines = [line.partition(" ") for line in done.stdout.splitlines()]
             for number, _, text in lines:
                 kind = text if text in ("refused", "finite") else "wrong"
