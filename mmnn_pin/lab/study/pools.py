@@ -201,8 +201,10 @@ def connected(distributed: ModuleType, address: str) -> Any:
     Raises:
         StudyError: It cannot be reached, or nothing that answers there is one.
     """
+    client = object.__new__(distributed.Client)
     try:
-        return distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
+        client.__init__(address, timeout=TIMEOUT, set_as_default=False)
+        return client
     except ValueError as error:
         what, why, fix = f"'{address}' is no address", str(error), "give one such as tcp://10.0.0.1:8786"
     except (OSError, TimeoutError) as error:
@@ -213,6 +215,7 @@ def connected(distributed: ModuleType, address: str) -> Any:
         fix = "give the address of a scheduler of the same version as here"
         if "TLS" in why or "encryption" in why:
             fix = "use tls:// and name your certificates, see 'Whom you trust' in `mmnn docs how-to/cluster`"
+    client.status = "closed"  # else it waits for itself when the process ends, in vain
     raise StudyError(what, why=why, fix=fix, key="--cluster")
 
 

@@ -183,6 +183,16 @@ def test_a_scheduler_that_goes_away_or_says_nothing_is_told_and_loses_nothing(en
         made.stop()
 
 
+def test_a_process_that_found_no_scheduler_ends_at_once() -> None:
+    """Dask's client waited 20 s for itself, and told so by a traceback."""
+    told = (
+        "import distributed; from mmnn_pin.lab.study.pools import connected; from mmnn_pin.errors import StudyError\n"
+    )
+    told += "import contextlib\nwith contextlib.suppress(StudyError): connected(distributed, 'inproc://x')\n"
+    ended = subprocess.run([sys.executable, "-c", told + "print('tried', flush=True)"], capture_output=True, text=True)
+    assert (ended.stdout, ended.stderr, ended.returncode) == ("tried\n", "", 0)
+
+
 def test_a_scheduler_that_cannot_be_reached_is_told(tmp_path: Path, capsys, monkeypatch) -> None:
     monkeypatch.setattr(dask, "TIMEOUT", 1.0)
     file = written(tmp_path)
