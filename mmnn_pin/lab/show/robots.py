@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,11 +17,13 @@ from ...model.checks.nonholonomy import RANK_TOLERANCE
 from ...model.checks.properties import BOUNDS, CheckReport, check
 from ...model.inspection import inspection_of
 from ...model.urdf.expansion import EXPANDED
-from ...recording.recording import Recording, recorded_robot
 from ...settings import finite
 from ...shown import shows
 from ..experiments.hardware_table import UNKNOWN
 from .table import WIDTH, Cell, Column, Table, TextLine, alike, hanging, row_of, terminal_text
+
+if TYPE_CHECKING:
+    from ...recording.recording import Recording
 
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
 CHECK_SAMPLES = 20  # random states of the property checks
@@ -396,6 +398,8 @@ def robots_of(recordings: Mapping[str, Recording]) -> list[RobotShown]:
 
 def about_robot(recording: Recording, samples: int = CHECK_SAMPLES) -> RobotShown:
     """The robot of a run."""
+    from ...recording.recording import recorded_robot  # h5py, which `mmnn inspect` needs not
+
     robot = recorded_robot(recording)
     sha256 = recording.meta.get("urdf_sha256", "not recorded")
     content = inspection_of(robot) | {"file": robot.path.name, "sha256": sha256}
