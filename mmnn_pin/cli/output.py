@@ -323,8 +323,10 @@ def open_runs(paths: tuple[Path, ...]) -> list[Recording]:
         files += here
     recordings = [Recording.open(file) for file in files]
     for recording in recordings:
-        for where, why in recording.damage.items():
-            warn(f"{recording.path}: {where} is damaged and left out: {why}")
+        for why in dict.fromkeys(recording.damage.values()):
+            first, *more = (where for where, reason in recording.damage.items() if reason == why)
+            what = f"{first} and {len(more)} more are" if more else f"{first} is"
+            warn(f"{recording.path}: {what} damaged and left out: {why}")
     return recordings
 
 

@@ -195,6 +195,17 @@ def test_a_damaged_part_is_named_and_leaves_the_others(kind, file, tmp_path, cap
     assert code == 2 or "e.joint1 [rad]" in (tmp_path / "x.csv").read_text()
 
 
+def test_five_hundred_unknown_signals_are_one_warning(file, tmp_path, capsys):
+    def change(stored: h5py.File) -> None:
+        for k in range(500):
+            stored.copy("signals/z", f"signals/zz{k:03}")
+
+    assert len(Recording.open(changed(file, change)).damage) == 500
+    assert main(["export", str(file), "--to", "csv", "--out", str(tmp_path / "x.csv")]) == 0
+    warnings = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
+    assert len(warnings) == 1 and "signals/zz000 and 499 more are damaged and left out: " in warnings[0]
+
+
 CONFIGS = ["5", "[]", '{"adaptive": 5}', '{"adaptive_composite": "memory"}', '{"adaptive": {"initial": []}}']
 
 
