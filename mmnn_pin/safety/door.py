@@ -27,6 +27,7 @@ from .supervisor import (
     RARE,
     SAME,
     SMOOTH,
+    STEP,
     TURN,
     UPPER,
     USUAL,
@@ -135,16 +136,15 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
         take_base(measured, passed, nb, door)
     for i in range(every):
         q, j, most, before, after = place_of(i, measured, door), nb + i, joints[EXPLAINS, i], 0.0, 0.0
+        measured[q] += sense[OFFSET, j]
         if i < n:
             before, after = message[q + n], measured[q + n]
         if joints[IS_FREE, i] > 0.0:
             most = max(most, max(abs(after), abs(before)))
         most *= PLAUSIBLE
-        same = measured[q] + sense[OFFSET, j] == message[q] and after == before
-        dt = since_then(j, passed, same, door)
+        near = nearest_turn(measured[q], message[q]) if joints[TURN, i] > 0.0 else measured[q]
+        dt = since_then(j, passed, near == message[q], near - message[q], before, after, door)
         before, after = min(max(before, -most), most), min(max(after, -most), most)
-        if sense[OFFSET, j] != 0.0:
-            measured[q] += sense[OFFSET, j]
         if joints[TURN, i] > 0.0:
             measured[q] = nearest_turn(measured[q], message[q] + dt * before)
         jump, explained = measured[q] - message[q], joints[JUMP, i] + most * dt
@@ -156,17 +156,21 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
 
 
 @internal
-def since_then(i: int, passed: float, same: bool, door: Door) -> float:
+def since_then(i: int, passed: float, stays: bool, moved: float, before: float, after: float, door: Door) -> float:
     """How long ago position or velocity i was measured last [s]; 0 where it is the same and its time may be, too.
 
-    A measurement is as old as its oldest part: what changed while its time stood has the age of its last change. Learns
+    It is the same where both stay, to the last bit, or the position goes back and forth between two values. A
+    measurement is as old as its oldest part: what changed while its time stood has the age of its last change. Learns
     how old that usually gets: more at once, less by and by.
     """
     sense, age = door.sense, door.sense[SAME, i]
+    same = (stays and before == after) or (moved == -sense[STEP, i] and moved != 0.0)
+    sense[STEP, i] = moved
     is_known = passed > 0.0 and (age == 0.0 or age > door.state.waited[0] - EARLY)
     if not same:
-        lasted = min(age, RARE)
-        sense[USUAL, i] = max(lasted, sense[USUAL, i] + SMOOTH * (lasted - sense[USUAL, i]))
+        if before != 0.0:  # what rests says nothing of how often it is measured
+            lasted = min(age, RARE)
+            sense[USUAL, i] = max(lasted, sense[USUAL, i] + SMOOTH * (lasted - sense[USUAL, i]))
         sense[SAME, i] = 0.0
         if door.state.news[0] != 1.0 and door.state.news[0] != 3.0:
             door.state.news[0] += 1.0
@@ -189,13 +193,13 @@ def take_base(measured: Array, passed: float, nb: int, door: Door) -> None:
         measured[1] - message[1],
         measured.size - (sense.shape[1] - door.rows.shape[1]),
     )
-    stays = x == 0.0 and y == 0.0 and measured[2] == message[2]
+    turned = measured[2] - message[2]
     for i in range(nb):
-        step, same = measured[2] - message[2], stays
+        step, stays, moved = turned, x == 0.0 and y == 0.0 and turned == 0.0, x + y + turned
         if door.masters.size and i >= nb - door.masters.size:
             place = last + door.masters[i - (nb - door.masters.size)]
             step = measured[place] - message[place]
-            same = step == 0.0
+            stays, moved = step == 0.0, step
         elif door.eta.size:
             step = share_of(c * x + s * y, c * y - s * x, step, i, door)
         elif i == 0:
@@ -203,7 +207,7 @@ def take_base(measured: Array, passed: float, nb: int, door: Door) -> None:
         elif i == 1 and door.sideways:
             step = c * y - s * x
         before, after = message[3 + i], measured[3 + i]
-        dt = since_then(i, passed, same and before == after, door)
+        dt = since_then(i, passed, stays, moved, before, after, door)
         if math.isfinite(door.rows[CONTRADICTION, 0]):
             drift(i, step, before, after, dt, sense)
 

@@ -31,7 +31,6 @@ from .supervisor import (
     OVER_TWIST,
     OVER_WHEEL,
     PRESSED,
-    RARE,
     SHAKING,
     TOO_SLOW,
     TOUCHED,
@@ -52,6 +51,7 @@ FRESH = 5.5  # measurements that fail to come before a stop does without
 FASTEST, FASTEST_SLIDE = 10.0, 2.0  # speed that explains a joint's motion where no limit is known [rad/s, m/s]
 BASE_CONTRADICTION = 0.05  # of pose and velocities of the base in a stop, on a robot [m, rad]
 TIMEOUT = 0.5  # that of ros2_controllers [s]
+AT_FIRST = 0.04  # how old values get before they are known [s]
 REACH = (0.05, 0.2)  # that a length and an angle may change unseen [m, rad]
 POSTURES = 8  # at which the robot is moved most easily
 STEERING_JUMP = 0.1  # of a pivot, where jumps are judged [rad]
@@ -136,7 +136,7 @@ class Safety(Settings, frozen=True):
         weights: Largest Frobenius norm of every array of weights; larger ones are scaled back at every sample.
         timeout: Age of the measurement or of the command at which it trips [s]. None: 0.5, and before a joint
             may have turned 0.2 rad or slid 0.05 m, or the base moved 0.05 m or turned 0.2 rad, while none came.
-            Measurements that repeat to the last bit count as none while the robot is to move.
+            Positions that stay, to the last bit, while their velocity or the reference's leads on count as none.
         ramp: Time in which torque goes to zero: all of it without measurements, the last command without commands [s].
         stop_time: How long a tripped run goes on, to show the stop [s].
         settle: Time that feedback has to bring the robot to rest, where motors can short their windings instead; after
@@ -241,7 +241,7 @@ class Safety(Settings, frozen=True):
         unseen = [reach_of(robot), mobility(robot), np.zeros(layout.dof) if asked is None else asked, shaken]
         *state, sense = views(new_state(layout) if values is None else values, layout)
         state[1].every[0] = state[1].every[0] or arrivals or period
-        sense[USUAL] = np.where(sense[USUAL] > 0.0, sense[USUAL], RARE)
+        sense[USUAL] = np.where(sense[USUAL] > 0.0, sense[USUAL], max(arrivals, AT_FIRST))
         door = Door(measured, np.array(rows, float), state[2], state[1], sense, layout.sideways, *maps)
         return Supervisor._make(
             [True, SupervisorNumbers(*map(float, numbers)), *fixed, door, *standing, places, *unseen, *state]
@@ -332,7 +332,7 @@ def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
 def new_state(layout: Dimensions, start: float = 0.0) -> Array:
     """State of a supervisor before its first measurement at a time [s]."""
     message = layout.pose + layout.base + 2 * layout.arm + layout.shape
-    values = np.zeros(MARKS + message + 14 * layout.dof + 4 * layout.motors + 2 * layout.arm + 6 * layout.shape)
+    values = np.zeros(MARKS + message + 14 * layout.dof + 4 * layout.motors + 2 * layout.arm + 7 * layout.shape)
     state = marks_of(values)
     state.heard[0] = state.commanded[0] = start
     state.since[0], state.waited[0], state.sampled[0], state.news[0] = -math.inf, math.inf, math.inf, 3.0
@@ -343,8 +343,8 @@ def views(values: Array, layout: Dimensions) -> list[Any]:
     """A supervisor's state and views of its parts, in the order of `Supervisor`, and the sense of its door."""
     message, p, n = layout.pose + layout.base + 2 * layout.arm + layout.shape, layout.dof, layout.arm
     m = layout.motors
-    _, *parts, sight, shake, sense = np.split(values, np.cumsum([MARKS, message, p, m, n, n, p, 6 * p, 3 * m]))
-    return [values, marks_of(values), *parts, sight.reshape(6, -1), shake.reshape(3, -1), sense.reshape(6, -1)]
+    _, *parts, sight, shake, sense = np.split(values, np.cumsum([MARKS, message, p, m, n, n, p, 5 * p, 3 * m]))
+    return [values, marks_of(values), *parts, sight.reshape(5, -1), shake.reshape(3, -1), sense.reshape(7, -1)]
 
 
 def marks_of(values: Array) -> SupervisorState:

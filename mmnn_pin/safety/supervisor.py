@@ -21,9 +21,9 @@ PSI_APPLIED, ROBUST = INDEX["psi_applied"], INDEX["robust"]
 RUNNING, STEPPED_IN, STOPPING, RAMPING = 0.0, 1.0, 2.0, 3.0
 TURN, LOWER, UPPER, EXPLAINS, JUMP, IS_FREE = range(6)  # of a door's joints
 CONTRADICTION, MOST = range(2)  # of its rows
-DRIFT, LEAST, WITHOUT, OFFSET, SAME, USUAL = range(6)  # of its sense
+DRIFT, SPEED, WITHOUT, OFFSET, SAME, USUAL, STEP = range(7)  # of its sense
 SLOWER, SLOW, POWER = range(3)  # of what shakes
-SILENT, REPEATED, RATE, BEND, BEFORE, KNOWN = range(6)  # of a supervisor's sight
+SILENT, STOOD, RATE, BEND, KNOWN = range(5)  # of a supervisor's sight
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
@@ -35,9 +35,8 @@ TOO_MANY = 4.0  # periods in a row that are too long
 GAP = 4.0  # times the slowest period: a longer pause counts as this
 PLAUSIBLE = 2.0  # times its limit: a velocity beyond this brakes as this
 SMOOTH = 0.3  # share of the latest acceleration, and time between measurements, in their averages
-PUSHED = 2.0  # times the velocity of the last measurement or of the reference: what moves under repeated ones
 MISSED = 2.0  # times the usual time between measurements: no silence before
-CONTRADICTS = 0.025  # of what may be gone unseen: farther, a position that stays does not belong to its velocity
+CONTRADICTS, LEFT = 40.0, 4.0  # times what the measured velocity and that of the reference lead away from what stands
 HELD = 3.0  # times the usual time for which it stays, after which that counts
 RARE = 0.25  # most that this is taken to be [s]
 FASTER, HALF = 1.25, 0.5  # times the least speed in a stop, times the limit: beyond both the stop drives it on
@@ -114,10 +113,11 @@ class Door(NamedTuple):
     rows: Array
     message: Array  # the last good measurement: pose, velocity, q, qdot, shape
     state: SupervisorState  # single numbers, the supervisor's
-    # (6, p + pivots) by how much positions have lately changed more than the velocities say; least speeds since a stop
-    # began; 1 s more than when a stop went without their feedback, 0 while it has some, -1 where that is for good;
-    # jumps that were taken out of the joints' positions; age of the last change of position or velocity, to the last
-    # bit, 0 for now, and how old it usually gets [s]
+    # (7, p + pivots) by how much positions have lately changed more than the velocities say; velocities of the last
+    # measurement, in a stop the least speeds since it began; 1 s more than when a stop went without their feedback, 0
+    # while it has some, -1 where that is for good; jumps that were taken out of the joints' positions; age of the last
+    # change of position or velocity, to the last bit, 0 for now, and how old it usually gets [s]; the last change of
+    # position
     sense: Array
     sideways: bool  # whether the base velocity is `(vx, vy, w)`
     eta: Array  # (3,) `(vx, vy, w)` of a base that steers, at the last sample; (0,) of others
@@ -154,9 +154,8 @@ class Supervisor(NamedTuple):
     place: Array  # (n,) where the joints are held
     integral: Array  # (n,) of their errors
     stale: Array  # (p,) the torque that was sent on the last measurement
-    # (6, p) how far velocities may have led in silence, and while measurements repeat, inf where what stands
-    # contradicts them; their bound in silence, their average acceleration, and what they were; torque that was sent
-    # before the last measurement
+    # (5, p) how far velocities may have led in silence, and what led away from values that stand, inf where that is too
+    # far; their bound in silence, and their average acceleration; torque that was sent before the last measurement
     sight: Array
     # (3, motors) torque that is learned behind a low-pass, what is faster behind another, and the average of the
     # squares of what is faster still
@@ -268,15 +267,15 @@ def look(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
 
     In silence a velocity that is `nu` at the last measurement is at most `|nu| + int |a| + W |tau - tau_0| dt`: a is
     its acceleration at the last measurements, tau_0 the torque that was sent before, and W the largest |M^-1|; a servo
-    reaches what it is asked for. While measurements repeat, to the last bit, a velocity that is measured or that the
-    reference has counts. A measurement is as old as its oldest part: where its time stays, what changes is measured,
-    and all else is silent.
+    reaches what it is asked for. A measurement is as old as its oldest part: where its time stays, what changes is
+    measured, and all else is silent. What stands in measurements that keep coming contradicts the velocity that is
+    measured with it and that of the reference, each by how far it leads meanwhile.
     """
     state, sight, sense, numbers = supervisor.state, supervisor.sight, supervisor.door.sense, supervisor.numbers
     h = numbers.h
     p, dt = sight.shape[1], max(time - state.sampled[0], 0.0)
     nb, since, waited = p - supervisor.place.size, time - state.since[0], state.waited[0]
-    silent, is_news = state.news[0] < 2.0, state.news[0] == 3.0
+    silent, is_news, runs = state.news[0] < 2.0, state.news[0] == 3.0, state.tripped[0] == 0.0
     if waited < math.inf and not silent:
         state.every[0] += SMOOTH * (min(waited, GAP * state.every[0]) - state.every[0])
     for i in range(p):
@@ -289,44 +288,41 @@ def look(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
             sight[RATE, i] = rate + dt * bend
         else:
             sight[SILENT, i], sight[RATE, i] = 0.0, abs(nu)
-        if state.tripped[0] == 0.0 and min(sense[SAME, i], waited) <= state.last_period[0]:
+        if runs and min(sense[SAME, i], waited) <= state.last_period[0]:
             supervisor.stale[i] = supervisor.last[i]  # it was measured at the last sample
         if not silent:
             sight[KNOWN, i] = supervisor.last[i]
-            speed = PUSHED * max(abs(nu), abs(referred(row, at, i, nb, supervisor)))
-            sight[REPEATED, i] = 0.0 if is_news else sight[REPEATED, i] + waited * speed
-            if is_news:
-                sight[BEND, i] += SMOOTH * ((nu - sight[BEFORE, i]) / max(since, h) - sight[BEND, i])
-                sight[BEFORE, i] = nu
-            check_standing(time, i, abs(nu), supervisor)
-        coming = sight[REPEATED, i]
-        if numbers.limited > 0.0:
-            coming += sight[SILENT, i] + h * (sight[RATE, i] + 0.5 * h * bend)
+            if is_news and runs:
+                sight[BEND, i] += SMOOTH * ((nu - sense[SPEED, i]) / max(since, h) - sight[BEND, i])
+                sense[SPEED, i] = nu
+            lead = CONTRADICTS * nu + LEFT * referred(row, at, i, nb, supervisor)
+            contradict(time, i, lead, waited, numbers.limited > 0.0 or not is_news, supervisor)
+        coming = numbers.limited * (sight[SILENT, i] + h * (sight[RATE, i] + 0.5 * h * bend))
         if coming > supervisor.reach[i] and not is_news and since + h > MISSED * state.every[0] + EARLY:
             trip(time, BLIND, i, coming, supervisor.reach[i], state)
+        sense[SAME, i] += dt
+    for i in range(p, sense.shape[1]):  # pivots, which no velocity turns
+        sense[SAME, i] += dt
     if is_news:
         state.since[0] = time
     if not silent:
         state.news[0], state.waited[0] = 0.0, 0.0
-    grow_older(dt, supervisor.door)
+    state.waited[0] += dt
 
 
 @internal
-def grow_older(dt: float, door: Door) -> None:
-    """Count the ages of the last measurement and of its parts on to the next sample."""
-    door.state.waited[0] += dt
-    for i in range(door.sense.shape[1]):
-        door.sense[SAME, i] += dt
+def contradict(time: float, i: int, lead: float, dt: float, counts: bool, supervisor: Supervisor) -> None:
+    """Trip where velocities lead away from a position that stands, over a time, and are too far from it twice in a row.
 
-
-@internal
-def check_standing(time: float, i: int, speed: float, supervisor: Supervisor) -> None:
-    """Trip where a position stays the same, to the last bit, and its measured velocity does, too, which is not zero."""
-    sense, reach = supervisor.door.sense, supervisor.reach[i]
-    gone = supervisor.numbers.limited * speed * sense[SAME, i]
-    if gone > CONTRADICTS * reach and sense[SAME, i] > HELD * sense[USUAL, i] + EARLY:
-        supervisor.sight[REPEATED, i] = math.inf
-        trip(time, BLIND, i, gone, reach, supervisor.state)
+    Once is an encoder between two of its steps, whose velocity goes back and forth with it.
+    """
+    sense, stood, reach = supervisor.door.sense, supervisor.sight[STOOD], supervisor.reach[i]
+    before = abs(stood[i])
+    stood[i] = stood[i] + dt * lead if sense[SAME, i] > 0.0 else 0.0
+    is_far = counts and before > reach and abs(stood[i]) > reach
+    if is_far and sense[SAME, i] > HELD * sense[USUAL, i] + EARLY:
+        trip(time, BLIND, i, before, reach, supervisor.state)
+        stood[i] = math.inf
 
 
 @compiled
@@ -460,12 +456,12 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     youngest = max(state.waited[0], HALF * state.every[0]) - EARLY  # what changed since is younger than the message
     for i in range(nb + n):
         is_old = old and not sense[SAME, i] < min(youngest, numbers.fresh)
-        is_blind = nothing or is_old or supervisor.sight[REPEATED, i] == math.inf
+        is_blind = nothing or is_old or supervisor.sight[STOOD, i] == math.inf
         blind += is_blind
         if is_first and is_blind:  # not what was made of a measurement that is none
             supervisor.last[i] = supervisor.stale[i]
         if is_first or (sense[WITHOUT, i] > 0.0 and not is_blind):
-            sense[LEAST, i], sense[WITHOUT, i] = abs(velocity_of(row, at, i, nb)), 0.0
+            sense[SPEED, i], sense[WITHOUT, i] = abs(velocity_of(row, at, i, nb)), 0.0
             if i >= nb:  # hold the arm where it is now
                 place[i - nb], integral[i - nb] = row[at[Q] + i - nb], 0.0
         if is_blind and sense[WITHOUT, i] == 0.0:
@@ -503,15 +499,15 @@ def lose(row: Array, at: IntArray, supervisor: Supervisor) -> None:
     nb = rows.shape[1] - n
     for i in range(nb + n):
         speed = abs(velocity_of(row, at, i, nb))
-        sense[LEAST, i] = min(sense[LEAST, i], speed)
-        driven = speed > max(HALF * rows[MOST, i], FASTER * sense[LEAST, i])
+        sense[SPEED, i] = min(sense[SPEED, i], speed)
+        driven = speed > max(HALF * rows[MOST, i], FASTER * sense[SPEED, i])
         steers = min(i - (nb - supervisor.door.masters.size), nb - 1 - i) >= 0  # C compilers see no empty range so
         if (driven and not steers) or abs(sense[DRIFT, i]) > rows[CONTRADICTION, i]:
             sense[WITHOUT, i] = -1.0
     for j in range(supervisor.wheel.size):
         turned, drives = 0.0, 0.0
         for i in range(nb):
-            turned += abs(supervisor.E[i, j]) * sense[LEAST, i]
+            turned += abs(supervisor.E[i, j]) * sense[SPEED, i]
             drives += abs(supervisor.E[i, j]) if i < nb - supervisor.door.masters.size else 0.0
         turning = abs(wheel_speed(row, at[VELOCITY], nb, j, supervisor.E))
         driven = turning > max(HALF * supervisor.wheel[j], FASTER * turned)
