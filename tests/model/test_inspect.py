@@ -165,6 +165,15 @@ def test_options_of_a_fix_are_named_with_their_values_if_these_are_short():
         f"--wheels a,b where these drive; --radius 0.1, or --package-dir FOLDER; --steer {','.join(['knuckle'] * 9)} if"
     )
     assert options_in(fix) == ["--wheels a,b", "--radius 0.1", "--package-dir FOLDER", "--steer"]
+    assert options_in("--radius, or --package-dir where their meshes are; --track for another") == [
+        "--radius",
+        "--package-dir",
+        "--track",
+    ]
+    assert options_in("--track, or --package-dir where they are; --track 0.44 to use it") == [
+        "--package-dir",
+        "--track 0.44",
+    ]
 
 
 @given(st.lists(st.text("abc_", min_size=1, max_size=12), min_size=1, max_size=30), st.integers(5, 90))

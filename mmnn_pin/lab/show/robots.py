@@ -30,7 +30,7 @@ CHECK_SAMPLES = 20  # random states of the property checks
 CHECK_SEED = 0
 LONGEST = 120  # letters of a line of what was understood
 STRAIGHT = 0.02  # of a quarter turn: what forward may be off an axis by and is said to be along it
-OPTION = re.compile(r"(--[a-z-]+)((?: [^\s;]*[^\s;,])?)")  # in a fix, with its value
+OPTION = re.compile(r"(--[a-z-]+)((?: (?!(?:where|or|with|for|and|if|to|name)\b)[^\s;]*[^\s;,])?)")  # and its value
 DOUBTS = {  # what a finding leaves in doubt, by its code
     "base-doubt": "what the base is",
     "base-shapes": "the radius",
@@ -62,11 +62,12 @@ def summary(content: dict[str, Any]) -> list[str]:
     base, arm, doubts = content["base"], content["arm"]["joints"], dict[str, list[str]]()
     for finding in content["findings"]:
         if about := DOUBTS.get(finding["code"]):
-            doubts.setdefault(about, []).extend(options_in(finding["fix"]))
+            doubts.setdefault(about, []).append(finding["fix"])
     held = [name for name, entry in content["locked_at"].items() if entry["why"] != WHY["base"]]
     locked = f"; locked: {names_in(held, LONGEST // 3)}" if held else ""
     has = f"{len(arm)} joint{'s' * (len(arm) != 1)}: {names_in(arm, LONGEST - 20 - len(locked))}" if arm else "no arm"
-    said = (f"{about} ({', '.join(dict.fromkeys(options))})" if options else about for about, options in doubts.items())
+    named = {about: ", ".join(dict.fromkeys(options_in("; ".join(fixes)))) for about, fixes in doubts.items()}
+    said = (f"{about} ({options})" if options else about for about, options in named.items())
     hands = [hand["frame"] for hand in content["arm"]["hands"]]
     hand = f"; hand{'s' * (len(hands) != 1)}: {names_in(hands, LONGEST // 3)}" if hands else ""
     hand = hand if len(f"arm: {has}{hand}{locked}") <= LONGEST else ""
@@ -75,8 +76,9 @@ def summary(content: dict[str, Any]) -> list[str]:
 
 
 def options_in(fix: str) -> list[str]:
-    """Options that a fix names, a long value left out."""
-    return [f"{name}{value if len(value) <= LONGEST // 3 else ''}" for name, value in OPTION.findall(fix)]
+    """Options that a fix names, a long value left out; an option without a value only where none has one."""
+    found = [f"{name}{value if len(value) <= LONGEST // 3 else ''}" for name, value in OPTION.findall(fix)]
+    return [option for option in found if not any(other.startswith(f"{option} ") for other in found)]
 
 
 def summary_text(content: dict[str, Any], width: int = WIDTH) -> str:
