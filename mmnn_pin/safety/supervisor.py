@@ -295,7 +295,7 @@ def look(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
             if is_news and runs:
                 sight[BEND, i] += SMOOTH * ((nu - sense[SPEED, i]) / max(since, h) - sight[BEND, i])
                 sense[SPEED, i] = nu
-            check_standing(row, at, time, i, nu, numbers.limited > 0.0 or not is_news, supervisor)
+            check_standing(row, at, time, i, nu, is_news, supervisor)
         coming = numbers.limited * (sight[SILENT, i] + h * (sight[RATE, i] + 0.5 * h * bend))
         if coming > supervisor.reach[i] and not is_news and since + h > MISSED * state.every[0] + EARLY:
             trip(time, BLIND, i, coming, supervisor.reach[i], state)
@@ -311,14 +311,17 @@ def look(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
 
 @internal
 def check_standing(
-    row: Array, at: IntArray, time: float, i: int, nu: float, counts: bool, supervisor: Supervisor
+    row: Array, at: IntArray, time: float, i: int, nu: float, is_news: bool, supervisor: Supervisor
 ) -> None:
     """Trip where velocities lead away from a position that stands, over a time, and are too far from it twice in a row.
 
-    Once is an encoder between two of its steps, whose velocity goes back and forth with it.
+    Once is an encoder between two of its steps, whose velocity goes back and forth with it. What a servo is asked for
+    may be held: there the reference counts where nothing new is measured alone.
     """
     nb = supervisor.sight.shape[1] - supervisor.place.size
-    lead = CONTRADICTS * nu + LEFT * referred(row, at, i, nb, supervisor)
+    lead, counts = CONTRADICTS * nu, supervisor.numbers.limited > 0.0 or not is_news
+    if supervisor.asked[i] == 0.0 or not is_news:
+        lead += LEFT * referred(row, at, i, nb, supervisor)
     sense, stood, reach = supervisor.door.sense, supervisor.sight[STOOD], supervisor.reach[i]
     before = abs(stood[i])
     stood[i] = stood[i] + supervisor.state.waited[0] * lead if sense[SAME, i] > 0.0 else 0.0
