@@ -59,6 +59,8 @@ def heard() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, leave)
+        if signal.setitimer(signal.ITIMER_REAL, 0.0)[0]:  # it was to come again
+            leave(signal.SIGINT, None)
 
 
 def is_interruption(error: BaseException | None) -> bool:

@@ -374,6 +374,21 @@ def test_rank_one_weights_are_told(call: Call) -> None:
     assert code == 0 and "rank one" in out.partition("note: ")[2]
 
 
+def test_a_ctrl_c_that_a_destructor_lost_at_the_very_end_is_told() -> None:
+    text = """
+import sys
+sys.argv = ["mmnn"]
+from mmnn_pin.program import heard
+class Lost:
+    def __del__(self):
+        raise KeyboardInterrupt
+with heard():
+    Lost()
+"""
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "error: stopped by Ctrl-C\n")
+
+
 # -- the table ---------------------------------------------------------------------------------------------------------
 
 
