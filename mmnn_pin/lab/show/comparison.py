@@ -191,8 +191,9 @@ def notes_of(result: Result) -> tuple[str, ...]:
     oracles = [name for name in result.recordings if name in ORACLES]
     notes = []
     if len(result.recordings) - len(oracles) > 1:
-        out = " and ".join([*oracles[:1], *["runs that are lost"] * (0 < len(result.lost) < len(result.recordings))])
-        are = "do" if result.lost else "does"
+        told = 0 < len(result.lost) < len(result.recordings)
+        out = " and ".join([*oracles[:1], *["runs that are lost"] * told])
+        are = "do" if told else "does"
         notes.append(f"* best in its row; {out} {are} not compete." if out else "* best in its row.")
     if oracles:
         notes.append(f"{oracles[0]} knows the true model.")
