@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 from functools import cache
 from pathlib import Path
 
@@ -258,6 +259,15 @@ def test_a_controller_knows_what_it_imports(part: str) -> None:
 def test_few_modules_stand_at_the_top() -> None:
     at_the_top = sorted(module for module, file in modules().items() if file.parent == PACKAGE)
     assert len(at_the_top) <= 10, at_the_top
+
+
+@pytest.mark.parametrize("script", ["run", "full"])
+def test_what_the_ci_runs_is_there(script: str) -> None:
+    """A path that is gone ends pytest before its first test, beside which the rest goes on and passes."""
+    named = re.findall(r"(?<![\w/])(?:research/)?tests/[^\s;)\\]+", (ROOT / ".ci" / script).read_text())
+    paths = subprocess.run(["bash", "-c", f"echo {' '.join(named)}"], capture_output=True, text=True, check=True)
+    assert named
+    assert [path for path in paths.stdout.split() if not (ROOT / path).exists()] == []
 
 
 def test_each_test_file_has_a_name_of_its_own() -> None:
