@@ -312,6 +312,16 @@ def test_the_replay_unpacks_no_archive_and_believes_no_count(tmp_path, bomb, suf
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB
 
 
+def test_what_a_mesh_file_has_is_quoted_shortly(tmp_path):
+    file = tmp_path / "m.off"
+    file.write_bytes(b"OFF\n3 1 0\n0 0 -" + bytes(5000) + b"\n0 1 0\n1 0 0\n3 0 1 2\n")
+    with pytest.raises(BrokenMesh) as caught:
+        read_mesh(file)
+    assert "could not convert" in str(caught.value)
+    assert len(str(caught.value)) < 300
+    assert str(caught.value).isprintable()
+
+
 def test_the_replay_opens_no_picture_and_nothing_elsewhere(tmp_path):
     (folder := tmp_path / "meshes").mkdir()
     for place in (tmp_path, folder):

@@ -22,6 +22,7 @@ import msgspec
 import numpy as np
 from lxml import etree
 
+from ...errors import printable
 from ...signals import Array
 from .document import read_numbers
 
@@ -40,11 +41,16 @@ NO_SHAPE = "assumed: no shape; only the radius of a wheel needs it"
 PLAIN_XML = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
 MOST_BESIDE = 8_000_000  # bytes of a file that a mesh file names
 BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}  # of a number in a glTF file
+MOST_TEXT = 200  # letters of what is wrong: a decoder quotes the file
 NUMBERS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}  # of an entry there
 
 
 class BrokenMesh(Exception):
-    """A mesh file that cannot be shown; the text says why."""
+    """A mesh file that cannot be shown; the text says why, in at most `MOST_TEXT` letters of one line."""
+
+    def __init__(self, why: str) -> None:
+        text = " ".join(printable(why).split())
+        super().__init__(text if len(text) <= MOST_TEXT else f"{text[:MOST_TEXT]}...")
 
 
 @lru_cache(maxsize=16)
