@@ -82,8 +82,9 @@ def document_of(
 def is_unchanged(file: Path, text: bytes) -> bool:
     """Whether a robot's own file lies there, with the robot of a text in it."""
     try:
-        one, other = (parse(sealed(data), os.devnull).text for data in (read_bytes(file, MAX_BYTES), text))
-        return one.split() == other.split()  # an older version left out the empty lines
+        found = {sealed(data) for data in (read_bytes(file, MAX_BYTES), text)}
+        # an older version left out the empty lines
+        return len({tuple(parse(data, os.devnull).text.split()) for data in found}) == 1
     except (OSError, ValueError, InputError):
         return False
 

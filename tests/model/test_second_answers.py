@@ -65,3 +65,9 @@ def test_what_yourdfpy_cannot_read_is_skipped_with_a_reason():
     report = check(robot, samples=1)
     assert "forward_kinematics" not in report.properties and "'b'" in report.skipped["forward_kinematics"]
     assert report.passed
+
+
+def test_a_report_does_without_yourdfpy():
+    report = check(mobile_arm(3), samples=1, placements=False)
+    assert report.passed and list(report.skipped) == ["forward_kinematics"]
+    assert "forward_kinematics" not in report.properties and "mmnn check" in report.skipped["forward_kinematics"]

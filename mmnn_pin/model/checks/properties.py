@@ -145,6 +145,7 @@ def check(
     bounds: Mapping[str, float] | None = None,
     terms: FullTerms | None = None,
     world: WorldFrame | None = None,
+    placements: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> CheckReport:
     """Check every property of a robot at random states.
@@ -156,6 +157,7 @@ def check(
         bounds: Bounds of your own that must hold, as a proof has them: `M_min`, `M_max`, `C_b`, see `ModelBounds`.
         terms: The matrices to judge; None for Pinocchio's.
         world: The world-frame form to judge; None for ours (bases with two sides only).
+        placements: Whether yourdfpy, which is slow to import, places the links, too.
         progress: Called now and then with the fraction done.
 
     Raises:
@@ -171,11 +173,14 @@ def check(
     if samples < 1:
         raise ConfigError(f"{samples} states", fix="give at least 1", key="samples")
     own = required_bounds(bounds or {})
-    terms, kinematics, skipped = terms or FullTerms(robot), None, {}
+    terms, kinematics, skipped = terms or FullTerms(robot), None, dict[str, str]()
     if world is None and robot.base.two_sided:
         world = WorldFrame(robot)
     try:
-        kinematics = SecondKinematics(robot)
+        if placements:
+            kinematics = SecondKinematics(robot)
+        else:
+            skipped["forward_kinematics"] = "slow; mmnn check compares it"
     except RobotError as error:
         skipped["forward_kinematics"] = ": ".join(filter(None, (error.what, error.why)))
     rng = np.random.default_rng(seed)
