@@ -95,7 +95,7 @@ def compile_once() -> None:
     from mmnn_pin.compiled import when_compiling
 
     compile_if_cold(hardware=True)
-    when_compiling(lambda name: None)  # what else takes long on a busy machine is not told between the lines of a test
+    when_compiling(lambda: None)  # what else takes long on a busy machine is not told between the lines of a test
 
 
 @pytest.fixture(autouse=True)

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
+LONGEST = 1000  # letters of a name or value in a message
+
 
 def printable(text: str, keep: str = "") -> str:
     """Text without what would steer a terminal or end a line of a file: control and direction characters of names.
@@ -23,6 +25,11 @@ def printable(text: str, keep: str = "") -> str:
         keep: Characters of these kinds that stay.
     """
     return text if text.isprintable() else "".join(c if c.isprintable() or c in keep else " " for c in text)
+
+
+def short(text: str) -> str:
+    """What a user gave, as a message repeats it: a file put in the place of a name would fill the screen."""
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
 class MmnnError(Exception):
@@ -91,8 +98,8 @@ class InputError(MmnnError):
     def __str__(self) -> str:
         given = self.option and self.key and self.line is None  # else a file has the key, on that line
         key = f"{self.option} {self.key}" if given else self.key
-        where = [str(part) for part in (self.file, self.line, key) if part is not None]
-        text = ": ".join(part for part in (self.what, self.why, self.fix) if part)
+        where = [short(str(part)) for part in (self.file, self.line, key) if part is not None]
+        text = ": ".join(part for part in (short(self.what), self.why, self.fix) if part)
         return printable(f"{':'.join(where)}: error: {text}" if where else f"error: {text}")
 
 

@@ -147,11 +147,11 @@ def announce(text: str) -> None:
     from ..compiled import when_compiling
 
     waiting = [text]
-    when_compiling(lambda _: note(waiting.pop()) if waiting else None)
+    when_compiling(lambda: note(waiting.pop()) if waiting else None)
 
 
 @cache
-def tell_what_compiles() -> Callable[[str], None]:
+def tell_what_compiles() -> Callable[[], None]:
     """From now on, a line on standard error every 10 s while something is compiled; what tells it."""
     from ..compiled import when_compiling
 
@@ -160,20 +160,21 @@ def tell_what_compiles() -> Callable[[str], None]:
     return tell
 
 
-def compiling_lines(now: Callable[[], float] = time.monotonic) -> Callable[[str], None]:
-    """A function that prints a name at most every 10 s, counted anew where nobody called it for 10 s.
+def compiling_lines(now: Callable[[], float] = time.monotonic) -> Callable[[], None]:
+    """A function, called for every function that is compiled, that prints their number at most every 10 s.
 
     Args:
         now: The clock [s].
     """
-    lines, last = Lines(now), now()
+    lines, last, count = Lines(now), now(), 0
 
-    def tell(name: str) -> None:
-        nonlocal lines, last
+    def tell() -> None:
+        nonlocal last, count
+        count += 1
         if (here := now()) - last > EVERY:  # something else was done meanwhile
-            lines = Lines(now)
+            lines.wait(here)
         last = here
-        lines.show(lambda: f"compiling {name}")
+        lines.show(lambda: f"compiling, {count} functions so far")
 
     return tell
 
@@ -187,12 +188,16 @@ class Lines:
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now, self._start = now, now()
-        self._next = self._start + EVERY
+        self.wait(self._start)
+
+    def wait(self, here: float) -> None:
+        """Print nothing for 10 s from a time on."""
+        self._next = here + EVERY
 
     def show(self, text: Callable[[], str]) -> None:
         """Print a line, if the last one is 10 s old."""
         if (here := self._now()) >= self._next:
-            self._next = here + EVERY
+            self.wait(here)
             note(f"{text()}, after {here - self._start:.0f} s")
 
 

@@ -108,25 +108,25 @@ def plain(function: F) -> F:
 
 
 class CompileListener(Listener):
-    """Hears from numba what is compiled, and tells its name.
+    """Hears from numba that something is compiled.
 
     Args:
-        tell: Called with the name of a function before it is compiled.
+        tell: Called before a function is compiled.
     """
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
+    def __init__(self, tell: Callable[[], object]) -> None:
         self.tell = tell
 
     def on_start(self, event: Any) -> None:
         """A function is going to be compiled."""
-        self.tell(event.data["dispatcher"].py_func.__name__)
+        self.tell()
 
     def on_end(self, event: Any) -> None:
         """It is compiled."""
 
 
-def when_compiling(tell: Callable[[str], None]) -> None:
-    """From now on, tell the name of every function that this process compiles."""
+def when_compiling(tell: Callable[[], object]) -> None:
+    """From now on, call `tell` before every function that this process compiles."""
     register("numba:compile", CompileListener(tell))
 
 

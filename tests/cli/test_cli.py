@@ -343,10 +343,16 @@ def test_first_run_says_that_it_compiles(call: Call, monkeypatch: pytest.MonkeyP
     import mmnn_pin.compiled
 
     monkeypatch.setattr(mmnn_pin.compiled, "is_warm", lambda: False)
-    monkeypatch.setattr(mmnn_pin.compiled, "when_compiling", lambda tell: tell("step"))  # as if something were
+    monkeypatch.setattr(mmnn_pin.compiled, "when_compiling", lambda tell: tell())  # as if something were
     announce.cache_clear()
     _, out, err = call("run", "chapter4", "--controller", "pd", *SHORT, "--json")
     assert "first run of this version: compiling takes" in err and json.loads(out)
+
+
+@pytest.mark.parametrize("text", ["{}", "{}=1", "foo={}", "controllers=['{}']", "robot='{}'", "reference.file='{}'"])
+def test_a_file_put_in_the_place_of_a_value_does_not_fill_the_screen(call: Call, text: str) -> None:
+    code, _, err = call("run", "track", "--set", text.format("x" * 100_000))
+    assert code == 2 and "error: " in err and len(err) < 4_000
 
 
 def test_warm_compiles_ahead_and_writes_nothing_else(call: Call) -> None:

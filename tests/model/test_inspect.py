@@ -160,11 +160,14 @@ def test_a_base_that_steers_is_said_by_what_steers_and_what_drives(call):
     assert f"wheelbase {found['length']:.4g} m, forward x" in said and arm.startswith("arm: 4 joints: ")
 
 
-def test_options_of_a_fix_are_named_with_their_values_if_these_are_short():
-    fix = (
-        f"--wheels a,b where these drive; --radius 0.1, or --package-dir FOLDER; --steer {','.join(['knuckle'] * 9)} if"
-    )
-    assert options_in(fix) == ["--wheels a,b", "--radius 0.1", "--package-dir FOLDER", "--steer"]
+def test_options_of_a_fix_are_named_with_their_values_however_long():
+    steer = f"--steer {','.join(['knuckle'] * 9)}"
+    fix = f"--wheels a,b where these drive; --radius 0.1, or --package-dir FOLDER; {steer} if"
+    assert options_in(fix) == ["--wheels a,b", "--radius 0.1", "--package-dir FOLDER", steer]
+    assert options_in("--controllers 'my robot/a.yaml' where it is this robot's, --radius 0.1 to use it") == [
+        "--controllers 'my robot/a.yaml'",
+        "--radius 0.1",
+    ]
     assert options_in("--radius, or --package-dir where their meshes are; --track for another") == [
         "--radius",
         "--package-dir",

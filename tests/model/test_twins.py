@@ -367,6 +367,7 @@ def test_wheels_a_little_over_what_reaches_deepest_of_a_flat_base_have_a_way_out
         ("left", "right", "", ""),
         ("right", "left", "base-heading", "does the robot drive along x"),
         ("wheel_l", "wheel_r", "base-stated", "names 'wheel_r', which the robot does not have"),
+        ("left, left", "right", "base-stated", "names 'left, left', which a simulator takes as one joint"),
     ],
 )
 def test_a_plugin_that_swaps_the_sides_or_names_nothing_is_told(left, right, code, words):

@@ -49,7 +49,9 @@ def placed(error: InputError, *files: Path) -> InputError:
     """
     if error.file is not None or not files:
         return error
-    lines = [nearest_line(read_text(file), path_of(error)) for file in files]
+    name = error.name if error.key and isinstance(error, UnknownName) else None  # of a joint, say, which is a key there
+    path = ".".join(part for part in (error.key, unknown_in(error) or name) if part)
+    lines = [nearest_line(read_text(file), path) for file in files]
     best = max(range(len(files)), key=lambda i: (lines[i][0], lines[i][1] is not None))
     return error.but(file=files[best], line=lines[best][1])
 
@@ -70,7 +72,7 @@ def is_key(error: InputError) -> TypeGuard[UnknownName]:
 
 
 def nearest_line(text: str, key: str) -> tuple[int, int | None]:
-    """Line, counted from 1, of the entry or table that a key path names, or the nearest around it, or the first within.
+    """Line, counted from 1, of the entry or table that a key path names, or the first within, or the nearest around it.
 
     Args:
         text: The file.
@@ -94,7 +96,7 @@ def nearest_line(text: str, key: str) -> tuple[int, int | None]:
             best, line = len(path), number
         elif path.startswith(f"{key}.") and within is None:
             within = number
-    return best, line or within
+    return best, line if best == len(key) else within or line
 
 
 def numbered(table: str, places: dict[str, int]) -> str:

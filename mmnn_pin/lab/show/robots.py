@@ -30,7 +30,9 @@ CHECK_SAMPLES = 20  # random states of the property checks
 CHECK_SEED = 0
 LONGEST = 120  # letters of a line of what was understood
 STRAIGHT = 0.02  # of a quarter turn: what forward may be off an axis by and is said to be along it
-OPTION = re.compile(r"(--[a-z-]+)((?: (?!(?:where|or|with|for|and|if|to|name)\b)[^\s;]*[^\s;,])?)")  # and its value
+OPTION = re.compile(  # and its value
+    r"(--[a-z-]+)((?: (?:'[^']*'|(?!(?:where|or|with|for|and|if|to|name)\b)[^\s;]*[^\s;,]))?)"
+)
 DOUBTS = {  # what a finding leaves in doubt, by its code
     "base-doubt": "what the base is",
     "base-shapes": "the radius",
@@ -76,8 +78,8 @@ def summary(content: dict[str, Any]) -> list[str]:
 
 
 def options_in(fix: str) -> list[str]:
-    """Options that a fix names, a long value left out; an option without a value only where none has one."""
-    found = [f"{name}{value if len(value) <= LONGEST // 3 else ''}" for name, value in OPTION.findall(fix)]
+    """Options that a fix names, as they are typed; an option without a value only where none has one."""
+    found = ["".join(parts) for parts in OPTION.findall(fix)]
     return [option for option in found if not any(other.startswith(f"{option} ") for other in found)]
 
 

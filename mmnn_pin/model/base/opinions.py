@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -119,7 +120,7 @@ def stated_notes(rest: AtRest, base: Base, name: str, blind: Sequence[str], over
         file, one = lengths[0]
         text = f"{file.name} states a {name} of {one.value:.4g} m, the geometry has {used:.4g} m"
         path = file.relative_to(here) if file.is_relative_to(here := Path.cwd()) else file
-        fix = f"--controllers {path} where it is this robot's, --{name} {one.value:.6g} to use it"
+        fix = f"--controllers {quote(str(path))} where it is this robot's, --{name} {one.value:.6g} to use it"
         yield note(rest, "base-stated", first, text, TAKEN, fix)
 
 
@@ -128,9 +129,12 @@ def joints_of_others(rest: AtRest, base: Base) -> Iterator[Finding]:
     for element in rest.document.root.iterfind("gazebo//*"):
         name = (element.text or "").strip()
         if SIDED.fullmatch(str(element.tag)) and name and name not in rest.document.joints:
-            text = f"<{element.tag}> (line {element.sourceline}) names '{name}', which the robot does not have"
-            why = "a simulator would not drive it"
-            yield note(rest, "base-stated", base.wheels[0].joint, text, why, "name its joint")
+            what = f"<{element.tag}> (line {element.sourceline}) names '{name}', which"
+            if all(one in rest.document.joints for one in re.split(r"[,\s]+", name.strip(", "))):
+                text, fix = f"{what} a simulator takes as one joint", f"write <{element.tag}> once for each"
+            else:
+                text, fix = f"{what} the robot does not have", "name its joint"
+            yield note(rest, "base-stated", base.wheels[0].joint, text, "a simulator would not drive it", fix)
 
 
 def middle_radius(wheels: Sequence[Wheel]) -> float:

@@ -197,6 +197,7 @@ def test_who_says_more_counts_more_and_messages_name_the_users_own_file(tmp_path
         on(urdf, None)
     for text, line in {
         "[joints.elbow]\ntorque = 3.0\n": ":1:joints: error: unknown joint 'elbow': there is: wheel_left_joint",
+        "[joints]\n'elb*'.torque = 3.0\n": ":2:joints: error: unknown joint 'elb*'",
         "[arm]\ninterface = 'pwm'\n": ":joints.arm_1_joint: error: 'arm_1_joint' takes a pwm",
         "[arm]\ninterface = 'torque'\n": ":2:arm.interface: error: unknown value 'torque': there is: effort, ",
         "[wheel]\nspeed = 3.0\n": ":1: error: unknown key 'wheel': did you mean 'wheels'?",

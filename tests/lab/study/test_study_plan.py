@@ -181,8 +181,8 @@ def test_a_file_that_is_not_there_is_told(tmp_path: Path, capsys) -> None:
 
 def test_lines_are_found_in_every_way_of_writing_keys() -> None:
     text = 'a = 1\n[b."c.d"]\n# e = 3\ne.f = 4\n  [ g . "h" ]\n"i j" = [\n  1,\n]\n'
-    keys = ("a", "b.c.d.e.f", "b.c.d.e.f.0", "b.c.d.x", "g.h.i j", "g", "z")
-    assert [nearest_line(text, key)[1] for key in keys] == [1, 4, 4, 2, 6, 5, None]
+    keys = ("a", "b.c.d.e.f", "b.c.d.e.f.0", "b.c.d.e", "b.c.d.x", "g.h.i j", "g", "z")
+    assert [nearest_line(text, key)[1] for key in keys] == [1, 4, 4, 4, 2, 6, 5, None]
     lists = "[[p]]\nx = 1\n[p.q]\nx = 1\n[[p]]\nx = 1\n[p.q]\nx = 1\n[q]\n"
     keys = ("p.0.x", "p.0.q.x", "p.1", "p.1.x", "p.1.q.x", "p.2.x", "p", "q")
     assert [nearest_line(lists, key)[1] for key in keys] == [2, 4, 5, 6, 8, None, 1, 9]
