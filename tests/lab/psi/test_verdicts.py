@@ -11,6 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mmnn_pin.errors import RecordingError
+from mmnn_pin.lab.psi.judgement import Judgement
 from mmnn_pin.lab.show.psi import verdicts
 
 LABELS = ("v", "w", "arm_1_joint", "arm_2_joint", "arm_3_joint", "arm_4_joint", "arm_5_joint", "arm_6_joint")
@@ -89,3 +91,42 @@ def holds(kinds: dict[str, np.ndarray]) -> None:
             agrees(held, other[where] if seen else same[where], short(where))
             if seen:  # then the own trajectory is no worse than a constant
                 assert np.nanmax(same[where]) < 1
+
+
+@given(
+    status=st.sampled_from(["completed", "diverged", "interrupted"]),
+    plant=st.sampled_from(["ideal", "contact"]),
+    rows=st.integers(2, 5000),
+    late=st.none() | st.integers(0, 10),
+    lacks=st.booleans(),
+)
+def test_what_the_judge_remarks_is_so(status: str, plant: str, rows: int, late: int | None, lacks: bool) -> None:
+    """A run of samples of 2 ms that ended so, on such a plant; its weights are so many samples old, or it has none."""
+    h, lost = 0.002, RecordingError("no such part", why="it is lost")
+    time = h * np.arange(rows)[:, None]
+    subject = SimpleNamespace(
+        recording=SimpleNamespace(outcome=SimpleNamespace(status=status, time=h * rows)),
+        signal={"time": time}.get,
+        plant=plant,
+        timing=SimpleNamespace(control_period=h),
+    )
+    psi = SimpleNamespace(remarks=("of psi",), frozen=late is not None, weights_time=h * max(rows - (late or 0), 0))
+    judged: Any = SimpleNamespace(
+        subject=subject, psi=psi, has=lambda part: not lacks, worth_telling={"psi": lost} if lacks else {}
+    )
+    said = Judgement.remarks(judged)
+    ended = [text for text in said if text.startswith("the run was")]
+    assert len(ended) == (status != "completed") and all(status in text for text in ended)
+    assert all(seconds(text) == pytest.approx(time[-1, 0], rel=5e-3) for text in ended)
+    slips = [text for text in said if "may slip" in text]
+    assert len(slips) == (plant != "ideal") and all(f"the {plant} plant" in text for text in slips)
+    old = [text for text in said if text.startswith("frozen weights are those of")]
+    assert len(old) == (not lacks and bool(late))
+    assert all(seconds(text) == pytest.approx(psi.weights_time, rel=5e-3) for text in old)
+    assert ("no such part: it is lost" in said) == lacks == ("of psi" not in said)
+    assert len(said) == len(ended) + len(slips) + len(old) + 1
+
+
+def seconds(text: str) -> float:
+    """The time that a sentence names [s]."""
+    return float(re.findall(r"([\d.e-]+) s\b", text)[0])
