@@ -100,8 +100,9 @@ def drawn_robots(rng: np.random.Generator, kind: str, folder: Path) -> tuple[Rob
         factor, shift = rng.uniform(0.75, 1.3), rng.uniform(-0.01, 0.01, 3) * (name not in ("left", "right"))
         other[name] = mass * factor, centre + shift, inertia * factor
     (folder / "robot.urdf").write_text(urdf_of(other, joints))
-    wheels: dict[str, Any] = {"base": "differential_drive", "wheels": WHEELS} if kind != "fixed" else {"base": "fixed"}
-    robot, true = (load(folder / f"{name}.urdf", **wheels) for name in ("file", "robot"))
+    told: dict[str, Any] = {"base": "differential_drive", "wheels": WHEELS} if kind != "fixed" else {"base": "fixed"}
+    told |= {"free": ["all"]}  # two joints may be a head: a loader asks
+    robot, true = (load(folder / f"{name}.urdf", **told) for name in ("file", "robot"))
     moving = np.abs(true.T).max(axis=1) > 0
     moving[: 3 if true.dimensions.base else 0] = False
     viscous, coulomb = (rng.uniform(*of, moving.size) * moving for of in ((0.2, 0.8), (0.1, 0.5)))
