@@ -28,7 +28,7 @@ def printable(text: str, keep: str = "") -> str:
 
 
 def short(text: str) -> str:
-    """What a user gave, as a message repeats it: a file put in the place of a name would fill the screen."""
+    """The text as a message repeats it: a file that is put in the place of a name would fill the screen."""
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
