@@ -39,6 +39,7 @@ WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign fo
     "it slides": (0.0, 0.0, -3.0, 0.0, 0.0),
     "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0, 0.0),
     "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0, 0.0),
+    "it turns by half a turn or more, to either side": (0.0, -1.0, 0.0, 0.0, 0.0),
     "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.0, 0.0, -4.0),
     "it hangs on a rocker": (0.0, 0.0, 0.0, 0.0, 7.0),
     "it is all at the height at which rockers turn": (0.0, 0.0, 0.0, 0.0, 7.0),
@@ -57,6 +58,7 @@ WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign fo
 SHORT = 1 / 3  # fraction of the longest chain's reach
 ROW, WRIST = 4, 3  # joints in a row that are more than a head's; joints that lead to a jaw
 STROKE, BUTTON = 0.15, 0.02  # [m] longest travel of a jaw and of a button
+HALF = 3.1  # [rad] half a turn, as files round it
 ALIKE = 0.2  # reaches of two jaws differ by less than this fraction
 ALONG = 0.9  # cosine of the largest angle between parallel directions
 WORDS = {  # English, German, French, Spanish, Italian, Portuguese, and Chinese and Japanese in Latin letters
@@ -73,6 +75,7 @@ WORDS = {  # English, German, French, Spanish, Italian, Portuguese, and Chinese 
     "linkage": "linkage rocker bogie differential diff crank strut piston pushrod",
 }
 ROLE_OF = {word: role for role, words in WORDS.items() for word in words.split()}
+FINGERS = {"index", "middle", "little"}  # of fingers only where other words speak of hands
 WEAK = dict.fromkeys(("pan", "tilt", "mast"), "head")  # said of shoulders, too
 TOOL = re.compile(
     r"tool0|(?:^|_)(?:tcp|tool|ee|eef)(?:_|$)|end_?effector|flange|grip(?:per)?_frame|grasp", re.IGNORECASE
@@ -103,7 +106,8 @@ def role_named(name: str, told: Iterable[str] = (), turns: bool = True) -> tuple
     for table in (ROLE_OF, WEAK if turns else {}):
         for form in (form for word in words for form in (word, word.rstrip("s"), word[1:] * (word[0] in "lr"))):
             if form in table:
-                return table[form], form
+                sensor = next((word for word in words_of(name) if ROLE_OF.get(word) == "sensor"), "")
+                return ("sensor", sensor) if table[form] == "arm" and sensor else (table[form], form)
     return "", ""
 
 
@@ -204,7 +208,8 @@ class Limbs:
                 worth[name] = still
                 found = {joint: limb for joint, limb in found.items() if joint not in joints}
             roles = (role, "arm") if still > moves else ("arm", role)
-            found[name] = Limb(joints, *roles, tuple(signs), abs(still - moves))
+            called = role_named(name, turns=False)[0] if roles == ("arm", "head") else ""  # though much hangs on it
+            found[name] = Limb(joints, *roles, tuple(signs), 0.0 if called == "head" else abs(still - moves))
         # what else is there to move? what names call a head is none on a base
         if not any(limb.role == "arm" for limb in found.values()):
             found |= {
@@ -234,7 +239,7 @@ class Limbs:
         found, known = list[Limb](), {*said}
         open_ones = [limb for limb in self.limbs.values() if limb.margin < MARGIN and limb.role == "arm"]
         in_doubt = {name for limb in open_ones for name in limb.joints}
-        for name, limb in sorted(self.limbs.items(), key=lambda item: item[1].margin):
+        for name, limb in sorted(self.limbs.items(), key=lambda item: (item[1].margin, -len(item[1].joints))):
             branch = self.tree[name]
             sole = bool(self.base.columns) and not branch.above and not branch.below  # hardly an arm
             alone = not sole and self.arm <= in_doubt and limb.role == "arm"  # something moves
@@ -322,6 +327,10 @@ class Limbs:
             "it slides by two centimetres at most on the base and carries no joint": travel <= BUTTON
             and not branch.above,
             "it turns across the joint before it, which rolls": alone and not slides and rolls and across,
+            "it turns by half a turn or more, to either side": alone
+            and not slides
+            and joint.lower < 0 < joint.upper
+            and joint.upper - joint.lower > HALF,
             "it turns without end about an upright axis and carries no joint": upright
             and alone
             and joint.turns_freely
@@ -341,6 +350,10 @@ class Limbs:
     def told(self) -> dict[str, set[str]]:
         """Words that tell nothing in the name of a joint, for the top of what it is on: those of all names on it."""
         found, every = dict[str, set[str]](), shared(self.candidates)
+        joints = self.rest.document.joints.values()
+        words = {word for joint in joints for word in words_of(f"{joint.name} {joint.child}")}
+        if all(ROLE_OF.get(word.rstrip("s")) != "jaw" for word in words - FINGERS):
+            every |= FINGERS
         for top in self.rest.document.moving_children(self.rest.document.root_link):
             names = [name for name in self.tree[top.name].carried if name in self.candidates]
             own = {word for word in shared(names) if ROLE_OF.get(word) in ("arm", "jaw")} if len(names) > 2 else set()

@@ -106,12 +106,6 @@ def test_controllers_say_left_and_right(tmp_path):
     assert heading(again) == -90 and np.array_equal(again.T, robot.T)
 
 
-@pytest.mark.parametrize(("flips", "turn"), [((1, 1), 90), ((-1, -1), -90)])
-def test_the_wheels_positive_rates_tell_and_leave_a_doubt(flips, turn):
-    told = asked(Drive(frame=(0.0, 0.0, math.pi / 2), names=("a", "b"), flips=flips).urdf(PLAIN))
-    assert told.fix.startswith(f"--forward {'y' if turn == 90 else '-y'},") and "positive rates" in told.why
-
-
 # --- Signs together ---------------------------------------------------------------------------------------------------
 
 
@@ -141,6 +135,14 @@ def test_a_base_that_looks_along_minus_y_is_found_so():
     robot = robot_of(drive.urdf(ahead + held("ball", (0.0, 0.2, 0.05), BALL)))
     assert heading(robot) == -90 and [w.y for w in robot.base.wheels] == pytest.approx([0.2, -0.2])
     assert not {"base-heading", "base-sides"} & codes(robot).keys()
+
+
+@pytest.mark.parametrize(("names", "flips", "forward"), [
+    (("a", "b"), (1, 1), 90), (("a", "b"), (-1, -1), -90), (("left", "right"), (-1, -1), 90)])  # fmt: skip
+def test_where_rates_alone_tell_or_stand_against_names_nothing_is_asked_and_it_is_told(names, flips, forward):
+    robot = robot_of(Drive(frame=(0.0, 0.0, math.pi / 2), names=names, flips=flips).urdf(PLAIN))
+    assert heading(robot) == forward and "base-heading" not in codes(robot)
+    assert "positive rates of the wheels" in next(f for f in robot.findings if f.code == "base-sides").why
 
 
 def test_wheels_on_crossed_axles_look_where_names_and_eyes_say():

@@ -293,7 +293,7 @@ def test_doubts_of_one_kind_are_one_line_whose_option_ends_them():
     for side in (0.4, -0.4):
         end = built.arm("base", side, 5)
         wrist = built.add(end, p=(0, 0, 0.06), axis=Z, mass=0.2)
-        built.add(wrist, p=(0.02, 0, 0.03), mass=0.05)
+        built.add(wrist, p=(0.02, 0, 0.03), limits=(0, 0.8), mass=0.05)
     told = doubted(built.urdf())
     assert "are each part of the arm or a jaw" in told.message
     names = tuple(re.findall(r"--lock (\S+)", told.fix))
@@ -381,6 +381,48 @@ def test_arms_are_those_of_their_makers_and_nothing_is_asked(name):
         pytest.skip("example-robot-data is not installed")
     robot: Robot = load(name)
     assert robot.dimensions.arm == MAKERS[name] and not robot.arm.doubts and robot.hands
+
+
+@pytest.mark.parametrize(("name", "role"), [("camera_arm2_joint", "sensor"), ("arm_camera_joint", "sensor"),
+                                           ("camera_joint", "sensor"), ("forearm_joint", "arm")])  # fmt: skip
+def test_the_arm_of_a_sensor_is_the_sensors(name, role):
+    assert role_named(name)[0] == role
+
+
+def test_little_is_a_finger_only_beside_other_words_of_hands():
+    slides = Drive().urdf(chain("bar", 3, "base") + chain("little", 3, "bar_2", length=0.001))
+    assert len(robot_of(slides).joint_names) == 6
+    palm = slides.replace("</robot>", link("palm", 0.1) + joint("palm_mount", "fixed", "bar_2", "palm") + "</robot>")
+    assert "little_joint_0" in robot_of(palm).arm.locked
+
+
+def test_a_neck_on_which_much_stands_still_is_asked_about():
+    """What the names of a face say for it speaks for the head, and not for what carries it."""
+    neck = chain("neck", 2, "base", (0, 0.3, 0.3), 0.1)
+    for i in range(5):
+        for side in (0.04, -0.04):
+            at = (0, side, 0.01 * i)
+            face = joint(f"f{i}{side}_lid", "revolute", "neck_1", f"f{i}{side}", p=at, more=LIMIT.format(-1, 1))
+            neck += link(f"f{i}{side}", 0.01, 1e-6) + face
+    text = Drive().urdf(chain("arm", 5, "base") + neck)
+    told = doubted(text)
+    names = tuple(re.findall(r"--lock (\S+)", told.fix))
+    assert "'neck_joint_0'" in told.message and {"neck_joint_0", "neck_joint_1"} <= {*names}
+    assert robot_of(text, lock=names).joint_names == tuple(f"arm_joint_{i}" for i in range(5))
+
+
+@pytest.mark.parametrize(("limits", "asks"), [((-1.57, 1.57), True), ((0.0, 0.8), False)])
+def test_a_last_hinge_that_turns_a_gripper_to_either_side_is_asked_about(limits, asks):
+    built = Built()
+    end = built.arm("base", 0.0, 4)
+    hinge = link("n_gripper", 0.05, 1e-5) + joint(
+        "x", "revolute", end, "n_gripper", p=(0, 0, 0.05), axis=Y, more=LIMIT.format(*limits)
+    )
+    built.pieces.append(hinge)
+    if asks:
+        assert "--free x for part of the arm" in doubted(built.urdf()).fix
+    else:
+        assert "x" in robot_of(built.urdf()).arm.locked
 
 
 def test_every_sign_has_a_weight_for_every_role():

@@ -32,6 +32,7 @@ CONVENTION, SAID_SIDES, SIDES, ENDS, RATES, VIEW, PLACE, ARM, CASTERS = 4.5, 4.0
 DRAWN = 2.5  # weight of x in the place of CONVENTION where a drawing program wrote the file: its axes are the drawing's
 CROSSED = 3.0  # likewise where wheels roll in several directions: two of thirteen public robots drive along y
 DRAWERS = re.compile(rb"solidworks|sw_urdf_exporter|fusion2urdf|onshape", re.IGNORECASE)  # at the head of their files
+TURNS = "positive rates of the wheels"
 HEAD = 2000  # bytes of that
 TOWED, STEERED = 4.0, 2.0  # weights of trailers, which are behind, and of wheels that steer, which are mostly ahead
 ALONG = 0.1  # least cosine of a direction to the axis that the user names
@@ -187,7 +188,7 @@ def arrows(rest: AtRest, drives: Sequence[Candidate], controllers: str | None, a
     ends += [(FRONT.search(c.joint.name), REAR.search(c.joint.name), c.centre[:2] - middle) for c in drives]
     yield from arrow("names of front and rear", [p if f else -p for f, r, p in ends if bool(f) != bool(r)], ENDS, least)
     if not crossed:
-        yield from arrow("positive rates of the wheels", [rolling(c) for c in drives], RATES)
+        yield from arrow(TURNS, [rolling(c) for c in drives], RATES)
     yield from eyes(rest, middle, least)
     if len(drives) == 2:
         yield from arrow("casters behind", [-(p - middle) for p in props(rest, drives)], CASTERS, least)

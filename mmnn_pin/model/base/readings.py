@@ -167,6 +167,7 @@ class Drives:
         belts: Signs that it runs on tracks.
         words: Signs against all that does not steer.
         on_arms: Round bodies on arms, such as drums.
+        drawn: Wheels that are drawn as cylinders and nothing else.
     """
 
     fixed: Sequence[Candidate]
@@ -176,6 +177,7 @@ class Drives:
     belts: Sequence[Sign]
     words: Sequence[Sign]
     on_arms: frozenset[str]
+    drawn: frozenset[str]
 
     def sets(self) -> list[list[Candidate]]:
         """Sets of wheels of which one drives: all, those that are no balls, those with motors, pairs on one axle."""
@@ -228,7 +230,9 @@ class Drives:
         belts = sum(sign.weight for sign in self.belts)
         level = all(parallel(drives[0], c) for c in drives[1:])
         if kind == "holonomic" and level and not any(p.meaning == "holonomic" for p in pieces):
-            yield Sign("nothing in the file speaks of rollers", -1.3)  # of such robots most have none
+            bare = self.drawn.issuperset(c.joint.name for c in drives)  # of such robots most have no rollers
+            text = "nothing in the file speaks of rollers"
+            yield Sign(f"{text}, and its wheels are drawn as cylinders" if bare else text, -2.3 if bare else -1.3)
         if kind == "holonomic" and level and drives[0].radius > LARGE:
             yield Sign(f"wheels of {drives[0].radius:.3g} m: those with rollers are mostly smaller", -1.0)
         if kind == "skid_steer" and one_axle(drives):

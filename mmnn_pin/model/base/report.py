@@ -19,7 +19,7 @@ from ..urdf.finding import AuditError, Finding
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
 from .base import Base, Wheel
-from .heading import axis_name, heading, left_first
+from .heading import TURNS, axis_name, heading, left_first
 from .overrides import Overrides
 from .skid_steer import GRAVITY
 from .steered import SteeredBase
@@ -131,13 +131,14 @@ def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrid
     why = f"for {way}: {', '.join(pro) or 'nothing'}; for {other}: {', '.join(contra) or 'nothing'}"
     fix, root = f"--forward {way}, or --forward {other}", f"of the root link '{rest.document.root_link}'"
     sides = any("left and right" in text for text in contra)  # by somebody who did not mean x, or mixed them up
+    settled = {*contra} <= {TURNS} and any(text == TURNS or "left and right" in text for text in pro)
     if found.said and found.margin < -MARGIN:
         text = f"'{names[0]}' is the left wheel as you said, so forward is {way} {root}"
         yield note(rest, "base-sides", names[0], text, why, fix)
-    elif not found.said and found.margin < (TELLS if sides else MARGIN):
+    elif not found.said and found.margin < (TELLS if sides else MARGIN) and not settled:
         text = f"does the robot drive along {way} {root}, or along {other}?"
         yield note(rest, "base-heading", names[0], text, why, fix)
-    elif not found.said and sides:
+    elif not found.said and (sides or (settled and found.margin < MARGIN)):
         text = f"'{names[0]}' is on the left: does the robot drive along {other} {root}?"
         yield note(rest, "base-sides", names[0], text, why, fix)
 

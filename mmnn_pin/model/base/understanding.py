@@ -261,8 +261,9 @@ def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseR
 
 
 def with_balls(rest: AtRest, base: Base, overrides: Overrides) -> Base:
-    """The base, with balls that touch its floor and turn without end, about whatever axis, as casters."""
-    ends = [j for j in rest.document.joints.values() if is_endless_end(rest, j)]
+    """The base, with balls that touch its floor and turn without end or not at all, about any axis, as casters."""
+    joints = rest.document.joints.values()  # a ball whose limits are one value stands as still as it rolls
+    ends = [j for j in joints if is_endless_end(rest, j) or (j.type == "revolute" and j.lower == j.upper)]
     free = [j for j in ends if base.columns and j.name not in {*base.locked, *base.joints, *overrides.free}]
     near = {j.name: [s for link in rest.document.body(j.child) for s in rest.primitives[link]] for j in free}
     balls = [
@@ -395,7 +396,8 @@ def drive_readings(
     """Readings of wheels that do not steer, of the kind that the user says."""
     words = [Sign(f"{why}: does it steer?", -6.0) for why in (steering_named(rest),) if why and len(fixed) > 2]
     belts, drums, named = tuple(belt_signs(rest, fixed)), on_arms(rest, fixed), overrides.wheels is not None
-    drives = Drives(fixed, motors_named(rest), named, overrides.base, belts, words, drums)
+    drawn = frozenset(c.joint.name for c in fixed if drawn_plain(rest, c.joint))
+    drives = Drives(fixed, motors_named(rest), named, overrides.base, belts, words, drums, drawn)
     found = list[Proposal]()
     for some in drives.sets():
         kinds = [kind for kind in drives.kinds(some) if overrides.base in (None, kind)]
@@ -452,6 +454,12 @@ def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> U
     elif len(drives) == 1:
         why = "a base on one wheel is not covered"
     return undecided(rest, wheels, why, ", or ".join([*ways, FORCES]))
+
+
+def drawn_plain(rest: AtRest, joint: Joint) -> bool:
+    """Whether what a joint carries is drawn as cylinders and nothing else."""
+    kinds = {shape.kind for link in rest.document.body(joint.child) for shape in rest.shapes(link, "visual")}
+    return kinds == {"cylinder"}
 
 
 def parked(rest: AtRest, wheels: list[Candidate]) -> Base:

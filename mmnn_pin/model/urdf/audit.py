@@ -353,7 +353,8 @@ def incomplete(elements: Elements) -> Iterator[Finding]:
 
 def why(tag: str) -> str:
     """The consequence of a bad number in an element."""
-    return "the whole inertial would be dropped" if tag in ("mass", "inertia") else ""
+    dropped = "the whole inertial would be dropped"
+    return {"mass": dropped, "inertia": dropped, "axis": "nothing tells the axis"}.get(tag, "")
 
 
 # -- shapes and meshes -------------------------------------------------------------------------------------------------

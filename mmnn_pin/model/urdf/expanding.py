@@ -22,6 +22,7 @@ from typing import Any
 from ...children import end_with
 from .packages import FIND, far_package
 
+COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 MACRO = re.compile(r"<xacro:macro\s[^<>]*?name=[\"']([^\"']+)[\"']")
 BARE = {"include", "macro", "property", "if", "unless", "insert_block"}  # elements of xacro that old files have bare
 HOLDERS = {"robot", "link", "joint", "inertial", "visual", "collision", "geometry"} | {f"xacro:{name}" for name in BARE}
@@ -238,7 +239,8 @@ class Lenient:
         """A file as xacro parses it: calls with their prefix, includes that may fail, without what is left out."""
         document = self.parse(given, filename)
         with contextlib.suppress(OSError, TypeError):
-            self.texts[str(filename or given)] = Path(filename or given).read_text(errors="replace")
+            text = Path(filename or given).read_text(errors="replace")
+            self.texts[str(filename or given)] = COMMENT.sub("", text)  # where no macro is defined
         for name in self.job["calls"]:
             for element in robots_own(document, name):
                 element.tagName = element.nodeName = f"xacro:{name}"
