@@ -170,6 +170,18 @@ def test_without_evidence_or_with_two_minds_it_asks(more):
         assert any("friction" in text for text in skids.told(1))
 
 
+def test_wheels_drawn_as_plain_cylinders_have_no_rollers_unless_all_else_is_drawn_as_meshes():
+    """Who draws the rest as meshes may have left the rollers out."""
+    drawn = four().replace("collision", "visual")
+    robot = robot_of(drawn)
+    told = next(f for f in robot.findings if f.code == "base-doubt")
+    assert robot.base.kind == "skid_steer" and told.fix == "--base holonomic for the other"
+    plate = '<link name="plate{0}"><visual><geometry><mesh filename="plate.stl"/></geometry></visual></link>'
+    held = '<joint name="held{0}" type="fixed"><parent link="base"/><child link="plate{0}"/></joint>'
+    with pytest.raises(Undecided, match="--base holonomic for mecanum wheels"):
+        robot_of(drawn.replace("</robot>", "".join((plate + held).format(i) for i in range(6)) + "</robot>"))
+
+
 def test_names_alone_do_not_decide():
     with pytest.raises(Undecided):
         robot_of(four().replace("_link", "_mecanum_link"))

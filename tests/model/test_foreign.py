@@ -251,6 +251,12 @@ def test_a_file_that_a_package_lacks_is_left_out_and_told(tmp_path):
     assert load(used, without=("dog",)).base.kind == "differential_drive"
 
 
+def test_a_macro_in_a_comment_is_none(tmp_path):
+    """What is called as it is then is an element that nothing defines, which is left as it is."""
+    macro = '<!--\n<xacro:macro name="weigh" params="m"><inertial/></xacro:macro>\n-->'
+    assert load(xacro(tmp_path, f'{macro}<weigh m="1"/>{ROBOT}')).base.kind == "differential_drive"
+
+
 def test_a_call_with_a_parameter_of_another_version_names_the_macro(tmp_path):
     packed(tmp_path, "cams", here='<xacro:macro name="cam" params="on"><link name="${on}_eye"/></xacro:macro>')
     call = '<xacro:include filename="$(find cams)/here.xacro"/>\n<xacro:cam on="base" topics_ns="a"/>'

@@ -145,6 +145,13 @@ def test_where_rates_alone_tell_or_stand_against_names_nothing_is_asked_and_it_i
     assert "positive rates of the wheels" in next(f for f in robot.findings if f.code == "base-sides").why
 
 
+@pytest.mark.parametrize(("base", "asks"), [("skid_steer", False), ("holonomic", True)])
+def test_rates_tell_no_forward_of_what_moves_sideways_too(base, asks):
+    wheels = [wheel(f"w{x}{y}", (x, y, 0.1), (1, 0, 0), yaw=math.pi / 2) for x in (-0.2, 0.2) for y in (-0.3, 0.3)]
+    text = f'<robot name="r">{link("base", 20.0, 0.8)}{PLAIN}{"".join(wheels)}</robot>'
+    assert asked(text, base=base) if asks else heading(robot_of(text, base=base)) == -90
+
+
 def test_wheels_on_crossed_axles_look_where_names_and_eyes_say():
     half = held("front_plate", (0.0, 0.3, 0.2)) + held("rear_plate", (0.0, -0.3, 0.2))
     more = half + held("camera", (0.0, 0.3, 0.4), R=np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))

@@ -162,6 +162,15 @@ def test_what_swivels_all_the_way_round_is_a_caster(kind, limits, trail):
     assert robot.base.kind == "differential_drive" and robot.base.casters == ("swivel", "roll")
 
 
+@pytest.mark.parametrize(("height", "casters"), [(0.05, ("b",)), (0.4, ())])
+def test_a_ball_on_the_floor_whose_limits_are_one_value_is_a_caster(height, casters):
+    ball = link("ball", 0.1, 1e-4, SPHERE.format(r=0.05))
+    ball += joint("b", "revolute", "base", "ball", p=(-0.2, 0, height), more=LIMIT.format(0, 0))
+    said = {} if casters else {"lock": ("b",)}  # it is asked about
+    robot = robot_of(Drive().urdf(ARM + ball), **said)
+    assert robot.base.casters == casters and "b" in robot.arm.locked
+
+
 @pytest.mark.parametrize(("limits", "trail"), [((-0.6, 0.6), 0.03), ((-math.pi, math.pi), 0.0)])
 def test_what_turns_within_limits_or_without_trail_steers(limits, trail):
     base = robot_of(Drive().urdf(ARM + caster("revolute", limits, trail))).base

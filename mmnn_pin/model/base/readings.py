@@ -167,7 +167,7 @@ class Drives:
         belts: Signs that it runs on tracks.
         words: Signs against all that does not steer.
         on_arms: Round bodies on arms, such as drums.
-        drawn: Wheels that are drawn as cylinders and nothing else.
+        drawn: Wheels that are drawn as cylinders and nothing else, on a robot that is mostly drawn so.
     """
 
     fixed: Sequence[Candidate]

@@ -131,7 +131,8 @@ def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrid
     why = f"for {way}: {', '.join(pro) or 'nothing'}; for {other}: {', '.join(contra) or 'nothing'}"
     fix, root = f"--forward {way}, or --forward {other}", f"of the root link '{rest.document.root_link}'"
     sides = any("left and right" in text for text in contra)  # by somebody who did not mean x, or mixed them up
-    settled = {*contra} <= {TURNS} and any(text == TURNS or "left and right" in text for text in pro)
+    settled = not base.sideways and {*contra} <= {TURNS}  # rates alone, of wheels that move it no other way
+    settled = settled and any(text == TURNS or "left and right" in text for text in pro)
     if found.said and found.margin < -MARGIN:
         text = f"'{names[0]}' is the left wheel as you said, so forward is {way} {root}"
         yield note(rest, "base-sides", names[0], text, why, fix)

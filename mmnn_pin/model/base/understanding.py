@@ -11,7 +11,7 @@ import contextlib
 import copy
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -396,8 +396,7 @@ def drive_readings(
     """Readings of wheels that do not steer, of the kind that the user says."""
     words = [Sign(f"{why}: does it steer?", -6.0) for why in (steering_named(rest),) if why and len(fixed) > 2]
     belts, drums, named = tuple(belt_signs(rest, fixed)), on_arms(rest, fixed), overrides.wheels is not None
-    drawn = frozenset(c.joint.name for c in fixed if drawn_plain(rest, c.joint))
-    drives = Drives(fixed, motors_named(rest), named, overrides.base, belts, words, drums, drawn)
+    drives = Drives(fixed, motors_named(rest), named, overrides.base, belts, words, drums, drawn_plain(rest, fixed))
     found = list[Proposal]()
     for some in drives.sets():
         kinds = [kind for kind in drives.kinds(some) if overrides.base in (None, kind)]
@@ -456,10 +455,14 @@ def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> U
     return undecided(rest, wheels, why, ", or ".join([*ways, FORCES]))
 
 
-def drawn_plain(rest: AtRest, joint: Joint) -> bool:
-    """Whether what a joint carries is drawn as cylinders and nothing else."""
-    kinds = {shape.kind for link in rest.document.body(joint.child) for shape in rest.shapes(link, "visual")}
-    return kinds == {"cylinder"}
+def drawn_plain(rest: AtRest, wheels: Sequence[Candidate]) -> frozenset[str]:
+    """Wheels that are drawn as cylinders alone; none where most of the robot is meshes: rollers may be left out."""
+    visuals = list(rest.document.root.iterfind("link/visual"))
+    if 2 * sum(visual.find("geometry/mesh") is not None for visual in visuals) >= len(visuals):
+        return frozenset()
+    bodies = {c.joint.name: rest.document.body(c.joint.child) for c in wheels}
+    kinds = {name: {s.kind for link in body for s in rest.shapes(link, "visual")} for name, body in bodies.items()}
+    return frozenset(name for name, found in kinds.items() if found == {"cylinder"})
 
 
 def parked(rest: AtRest, wheels: list[Candidate]) -> Base:

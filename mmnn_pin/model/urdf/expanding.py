@@ -22,7 +22,7 @@ from typing import Any
 from ...children import end_with
 from .packages import FIND, far_package
 
-COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
 MACRO = re.compile(r"<xacro:macro\s[^<>]*?name=[\"']([^\"']+)[\"']")
 BARE = {"include", "macro", "property", "if", "unless", "insert_block"}  # elements of xacro that old files have bare
 HOLDERS = {"robot", "link", "joint", "inertial", "visual", "collision", "geometry"} | {f"xacro:{name}" for name in BARE}
