@@ -41,6 +41,7 @@ WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign fo
     "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0, 0.0),
     "it turns by half a turn or more, to either side": (0.0, -1.0, 0.0, 0.0, 0.0),
     "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.0, 0.0, -4.0),
+    "it turns alone on a base": (4.0, 0.0, 4.0, 0.0, 0.0),
     "it hangs on a rocker": (0.0, 0.0, 0.0, 0.0, 7.0),
     "it is all at the height at which rockers turn": (0.0, 0.0, 0.0, 0.0, 7.0),
     "it slides or spins at its end, beside a longer chain on an arm": (0.0, 0.0, 0.0, 0.0, 7.0),
@@ -210,13 +211,8 @@ class Limbs:
             roles = (role, "arm") if still > moves else ("arm", role)
             called = role_named(name, turns=False)[0] if roles == ("arm", "head") else ""  # though much hangs on it
             found[name] = Limb(joints, *roles, tuple(signs), 0.0 if called == "head" else abs(still - moves))
-        # what else is there to move? what names call a head is none on a base
-        if not any(limb.role == "arm" for limb in found.values()):
-            found |= {
-                name: replace(limb, role="arm")
-                for name, limb in found.items()
-                if limb.role in ("head", "jaw") and not (self.base.columns and self.is_called_head(limb))
-            }
+        if not self.base.columns and not any(limb.role == "arm" for limb in found.values()):  # what else would move?
+            found |= {n: replace(limb, role="arm") for n, limb in found.items() if limb.role in ("head", "jaw")}
         return found
 
     @cached_property
@@ -230,19 +226,13 @@ class Limbs:
         """Joints of the arm."""
         return {name for name, role in self.roles.items() if role == "arm"}
 
-    def is_called_head(self, limb: Limb) -> bool:
-        """Whether names of its joints say that it is a head."""
-        return any(key == "names of heads" for key, _, _ in self.seen(limb.joints[0]))
-
     def doubts(self, said: Iterable[str]) -> tuple[Limb, ...]:
         """Branches whose roles beat others by little, one of every chain; none of those that the user speaks of."""
         found, known = list[Limb](), {*said}
         open_ones = [limb for limb in self.limbs.values() if limb.margin < MARGIN and limb.role == "arm"]
         in_doubt = {name for limb in open_ones for name in limb.joints}
         for name, limb in sorted(self.limbs.items(), key=lambda item: (item[1].margin, -len(item[1].joints))):
-            branch = self.tree[name]
-            sole = bool(self.base.columns) and not branch.above and not branch.below  # hardly an arm
-            alone = not sole and self.arm <= in_doubt and limb.role == "arm"  # something moves
+            alone = self.arm <= in_doubt and limb.role == "arm"  # something moves
             if limb.margin < MARGIN and limb.other != limb.role and not alone and not known & {"all", *limb.joints}:
                 found.append(limb)
                 known |= {*limb.joints, *self.tree[name].above}
@@ -323,6 +313,7 @@ class Limbs:
                 j.turns_freely and rest.is_horizontal(j) for j in carried
             ),
             "it slides": slides,
+            "it turns alone on a base": alone and not slides and not branch.above and bool(self.base.columns),
             "it slides by a few centimetres and carries no joint": travel <= STROKE,
             "it slides by two centimetres at most on the base and carries no joint": travel <= BUTTON
             and not branch.above,

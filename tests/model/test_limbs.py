@@ -212,12 +212,15 @@ def test_what_only_pans_and_tilts_is_the_arm_of_a_stand_and_stands_still_on_a_ba
     assert robot_of(built.urdf()).joint_names == ("n0j", "n1j")  # without a name it is a short arm
 
 
-def test_what_turns_alone_is_asked_about_unless_it_is_named():
+@pytest.mark.parametrize(("kind", "axis"), [("continuous", Z), ("revolute", Y)])
+def test_what_turns_alone_on_a_base_stands_still_and_is_told_unless_an_arm_is_named(kind, axis):
     built = Built()
-    built.add("base", "continuous", p=(0.1, 0, 0.4), axis=Z, mass=0.1)
-    assert doubted(built.urdf()).fix == "--lock n0j for a sensor, --free n0j for part of the arm"
-    assert answered(built.urdf(), {"n0j"}).joint_names == ("n0j",)
-    assert "sensor" in robot_of(built.urdf().replace("n0j", "lidar_joint")).arm.reasons["lidar_joint"]
+    built.add("base", kind, p=(0.1, 0, 0.4), axis=axis, mass=0.1)
+    robot = robot_of(built.urdf())
+    assert "n0j" in robot.arm.locked and "arm-locked" in {f.code for f in robot.findings}
+    assert robot_of(built.urdf(), free=("n0j",)).joint_names == ("n0j",)
+    assert robot_of(built.urdf().replace("n0j", "shoulder")).joint_names == ("shoulder",)
+    assert robot_of(built.urdf(), base="fixed").joint_names == ("n0j",)
 
 
 # --- What files say ---------------------------------------------------------------------------------------------------

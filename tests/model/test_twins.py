@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, joint, link, origin, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -197,10 +198,9 @@ def test_an_endless_shoulder_low_on_the_base_is_an_arms(joints, axis):
     if joints == 1 and axis[1]:  # nothing tells it from a third wheel: it stands still, and the way out is printed
         told = next(f for f in robot_of(text).findings if f.code == "base-stray")
         robot = followed(text, ways_of(told.fix)[-1])
-    elif joints == 1:  # nor from a head: it is asked about
-        with pytest.raises(AuditError, match="is part of the arm or a head") as error:
-            robot_of(text)
-        robot = followed(text, ways_of(error.value.fix)[-1])
+    elif joints == 1:  # alone on a base it is hardly one: it stands still, too
+        robot = robot_of(text, free=("u0j",))
+        assert "u0j" in robot_of(text).arm.locked
     else:
         robot = robot_of(text)
     assert robot.joint_names == tuple(f"u{i}j" for i in range(joints))
@@ -348,14 +348,31 @@ def test_a_robot_on_its_head_is_not_driven_by_wheels_in_the_air():
     assert "m below the floor" in codes(robot_of(text, wheels=("right", "left")))["base-floor"]
 
 
-def test_wheels_a_little_over_what_reaches_deepest_of_a_flat_base_have_a_way_out():
-    keel = link("keel", shape='<box size="0.1 0.1 0.02"/>') + joint("under", "fixed", "base", "keel", p=(0, 0, -0.04))
-    text = f'<robot name="r">{link("base", 20.0, 0.8)}{pair()}{keel}</robot>'
+@pytest.mark.parametrize(("depth", "shape", "taken"), [
+    (0.01, "cylinder", True), (0.06, "cylinder", True), (0.2, "cylinder", False), (0.06, "mesh", False)])  # fmt: skip
+def test_wheels_less_than_their_radius_over_what_reaches_deepest_are_taken_and_it_is_told(
+    tmp_path, depth, shape, taken
+):
+    """A mesh may be a toothed drum of a belt; those and higher ones are asked about, with a way out."""
+    keel = link("keel", shape='<box size="0.1 0.1 0.02"/>') + joint("under", "fixed", "base", "keel", p=(0, 0, -depth))
+    wheels = pair()
+    if shape == "mesh":
+        trimesh.creation.cylinder(radius=0.1, height=0.03, sections=64).export(tmp_path / "disc.stl")
+        wheels = wheels.replace(CYLINDER.format(r=0.1), '<mesh filename="disc.stl"/>')
+    text = f'<robot name="r">{link("base", 20.0, 0.8)}{wheels}{keel}</robot>'
+    (tmp_path / "r.urdf").write_text(text)
+    if taken:
+        robot = robot_of(text)
+        assert robot.base.kind == "differential_drive" and robot.base.floor == pytest.approx(0.0, abs=1e-9)
+        assert ("m below the floor" in codes(robot).get("base-floor", "")) == (depth > 0.02)
+        return
     with pytest.raises(Undecided, match="above the robot's lowest point") as error:
-        robot_of(text)
-    assert "upper half" not in error.value.why
+        load(tmp_path / "r.urdf")
+    assert ("upper half" in error.value.why) == (depth > 0.1)
+    if depth > 0.1:
+        return
     names = error.value.fix.partition("--wheels ")[2].split()[0].split(",")
-    assert robot_of(text, wheels=names).base.kind == "differential_drive"
+    assert load(tmp_path / "r.urdf", wheels=names).base.kind == "differential_drive"
 
 
 # --- Plugins that name other joints -----------------------------------------------------------------------------------

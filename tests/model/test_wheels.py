@@ -305,6 +305,7 @@ def test_wheels_with_limits_are_no_arm(names, limits, said):
 @settings(max_examples=20, deadline=None)
 def test_a_track_that_turns_about_one_of_its_ends_is_no_wheel(apart, kind, backward):
     """Its rounds of 0.1 m and 0.05 m stand this many radii apart."""
+    assume(abs(apart - 1.5) > 1e-9)  # where rounding decides
     end = CYLINDER.format(r=0.05)
     there = f"<collision>{origin(pin.rpy.rpyToMatrix(np.pi / 2, 0, 0), ((-1) ** backward * 0.1 * apart, 0, 0))}"
     there += f"<geometry>{end}</geometry></collision></link>"

@@ -120,7 +120,7 @@ def wheel_candidates(rest: AtRest, radius: float | None = None, given: bool = Fa
     known = known + on_floor(rest, hidden, known, footing, radius, given)
     floor = lowest_place(rest, shapes, known)
     limited = limited_wheels(rest, known, floor)
-    if touching := those_touching(rest, known, standing_on(rest, known, floor)):
+    if touching := those_touching(rest, known, standing_on(rest, known, floor)) or hung(rest, known, floor):
         return Candidates(touching, [], floor, footing, limited)
     return Candidates([], near_misses(rest, known, tilted, upright, sight.lumpy, floor), floor, footing, limited)
 
@@ -239,6 +239,15 @@ def those_touching(rest: AtRest, known: list[Candidate], ground: float) -> list[
     """Wheels on the floor, and those that sink to it on rockers or bogies."""
     touching = [c for c in known if c.shape == STATED or abs(c.bottom - ground) <= TOUCHING * c.radius]
     return touching + [c for c in known if c not in touching and sinks_to(rest, c, ground, touching)]
+
+
+def hung(rest: AtRest, known: list[Candidate], floor: float) -> list[Candidate]:
+    """Cylinders in pairs less than their radius above what reaches lowest, a caster or the body, drawn too low.
+
+    So are three of three on public robots. Meshes may be toothed drums of belts, which hang, too.
+    """
+    low = [c for c in known if c.shape == "cylinder" and c.bottom - floor < c.radius]
+    return [c for c in low if is_axle(rest, c, low)]
 
 
 def near_misses(
