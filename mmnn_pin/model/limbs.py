@@ -319,7 +319,7 @@ class Limbs:
             and not branch.above,
             "it turns across the joint before it, which rolls": alone and not slides and rolls and across,
             "it turns by half a turn or more, to either side": alone
-            and not slides
+            and not (slides or branch.beside)
             and joint.lower < 0 < joint.upper
             and joint.upper - joint.lower > HALF,
             "it turns without end about an upright axis and carries no joint": upright
