@@ -91,8 +91,8 @@ def embed(
 ) -> int:
     """Write one controller of EXPERIMENT with its kinematic layer, motor limits and supervisor as C99 source.
 
-    The source is translated from the Python functions that the loops run. The folder has a self-test with the answers
-    of Python; it is compiled and run before the folder appears, and all its torques and states must agree bit for bit.
+    The source is translated from the Python functions that the loops run. Its self-test compares all torques and states
+    with Python's bit for bit. The command compiles and runs it, and makes the folder only if it passes.
     """
     from ..deploy.embed import embed as export
     from ..deploy.embed.export import MEMORY, found_compiler, supervised

@@ -28,7 +28,7 @@ HEADERS = (
     " lines. Repeatable."
 )
 MENDS = (
-    "What mends a signal, as the check advises it: a unit that it has (ms, us, ns, deg, mm, counts:4096), negated,"
+    "How to correct a signal, as the check advises: its unit (ms, us, ns, deg, mm, counts:4096), negated,"
     " late:SECONDS, lag:SECONDS, seam:PERIOD, another signal, dropped. '*' stands for several. Repeatable."
 )
 
@@ -74,7 +74,7 @@ MENDS = (
 )  # fmt: skip
 @click.option("--check", is_flag=True, help="Say what is wrong with the logs, worst first, and write nothing.")
 @click.option("--mend", "mends", metavar="SIGNAL=HOW", multiple=True, help=MENDS)
-@click.option("--payload", is_flag=True, help="Find what the hand of ROBOT carries, and write nothing.")
+@click.option("--payload", is_flag=True, help="Find mass and centre of the load in ROBOT's hand, and write nothing.")
 @click.option(
     "--without-load", multiple=True, metavar="LOG", type=PATH,
     help="The motion of --payload with an empty hand: it separates the load from the robot's own errors.",
@@ -253,7 +253,7 @@ def carried(
 )
 @click.argument("robot", shell_complete=robots)
 @click.option("--out", type=PATH, default=Path("excitation.csv"), help="The CSV file.")
-@click.option("--duration", type=float, default=40.0, metavar="S", help="Length of the motion.")
+@click.option("--duration", type=float, default=40.0, metavar="S", help="Duration of the motion.")
 @click.option("--space", type=float, default=1.0, metavar="M", help="How far the base may go to either side.")
 @click.option(
     "--share", type=float, default=0.8, help="Share of the limits of position, speed and torque that it may use."
@@ -269,7 +269,7 @@ def carried(
     "--obstacle", "obstacles", metavar="X,Y,RADIUS[,HEIGHT]", multiple=True,
     help="An upright cylinder on the floor, in m from where the base starts, x ahead, y to the left. Repeatable.",
 )  # fmt: skip
-@click.option("--seconds", type=float, default=20.0, metavar="S", help="Time to look for it.")
+@click.option("--seconds", type=float, default=20.0, metavar="S", help="Duration of the search.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, help="Seed of the search.")
 @FORCE
 @understanding
@@ -290,8 +290,8 @@ def excite(
 ) -> int:
     """Find the motion of ROBOT from which inertias and friction are identified best, and write it as CSV.
 
-    It keeps the robot's limits, the floor of --space and away from every --obstacle, by the shapes of the URDF, and
-    starts and ends at rest. The table has t, for a base x, y, phi, v, w, and
+    The motion stays within the robot's limits and the floor of --space, keeps the URDF's shapes away from every
+    --obstacle, and starts and ends at rest. The table has t, for a base x, y, phi, v, w, and
     position.JOINT, velocity.JOINT, acceleration.JOINT at 100 rows per second. The command prints how well it
     determines the base parameters: predicted standard deviations, for noise of 2 % of each motor's limit.
     """

@@ -41,8 +41,8 @@ def shared(function: F) -> F:
 def law(function: F) -> F:
     """Add the option that names the file of a learning law; it is run before the command."""
     text = (
-        "Needed for runs of a controller of your own: its file, FILE.py or FILE.py:Class. The file is run, to evaluate"
-        " the recorded weights; without it they cannot be evaluated. Repeatable."
+        "File of your own controller, FILE.py or FILE.py:Class, needed for its runs. The file is run to evaluate the"
+        " recorded weights. Repeatable."
     )
 
     @functools.wraps(function)
@@ -208,7 +208,7 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option(
         "--cluster",
         metavar="ADDRESS",
-        help="Run on the Dask cluster of this scheduler, which can run any program here: name only one that you trust,"
+        help="Run on the Dask cluster of this scheduler. It can run any program here, so name only one that you trust,"
         " best by TLS (tls://...); see mmnn docs how-to/cluster.",
     ),
     CHANGES,
@@ -243,7 +243,7 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option(
         "--base",
         metavar="KIND",
-        help="What the base is: differential_drive, skid_steer, holonomic, car_like, tricycle, swerve, ... or fixed.",
+        help="Kind of the base: differential_drive, skid_steer, holonomic, car_like, tricycle, swerve, ... or fixed.",
     ),
     click.option("--wheels", metavar="LEFT,RIGHT", help="Joints of the drive wheels, separated by commas."),
     click.option("--radius", type=float, metavar="M", help="Radius of the drive wheels."),
@@ -255,16 +255,14 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
         help="Distance of left and right wheels; of a skid-steer base the effective one.",
     ),
     click.option("--roller", type=float, metavar="RAD", help="Angle of a holonomic base's rollers: 0 for omni wheels."),
-    click.option(
-        "--lock", metavar="JOINT[=AT]", multiple=True, help="A joint to keep still, at rest or at AT; repeatable."
-    ),
+    click.option("--lock", metavar="JOINT[=AT]", multiple=True, help="A joint to lock, at rest or at AT; repeatable."),
     click.option(
         "--free",
         metavar="JOINT",
         multiple=True,
         help="A joint to free that is locked by default, or 'all'; repeatable.",
     ),
-    click.option("--arm", metavar="SIDE", help="Of two arms the one that moves: left, right or both."),
+    click.option("--arm", metavar="SIDE", help="Which of two arms moves: left, right or both."),
     click.option("--arm-tip", metavar="LINK", help="End of the arm; joints that do not lead to it are locked."),
     PACKAGE_DIRS,
     click.option("--xacro", metavar="NAME:=VALUE", multiple=True, help="Argument of a xacro file; repeatable."),
@@ -273,7 +271,7 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
         "--controllers",
         "controllers_file",
         metavar="FILE",
-        help="YAML file of its ros2_control controllers: it tells the kind of base, radius and track.",
+        help="YAML file of the robot's ros2_control controllers, for the kind of base, radius and track.",
     ),
     click.option(
         "--mu", type=float, metavar="MU", help="Friction under the wheels of a skid-steer base.  [default: 1]"
@@ -281,7 +279,7 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option("--steer", metavar="JOINT,...", help="Joints that steer, separated by commas."),
     click.option("--hitch", metavar="JOINT,...", help="Joints on which trailers follow, separated by commas."),
     click.option("--wheelbase", type=float, metavar="M", help="Distance of the wheels that steer from the fixed axle."),
-    click.option("--forward", metavar="AXIS", help="Where it drives forward, by the root link: x, -x, y or -y."),
+    click.option("--forward", metavar="AXIS", help="Axis of the root link that points forward: x, -x, y or -y."),
     click.option("--steering-limit", type=float, metavar="RAD", help="Largest steering angle, to either side."),
     click.option("--strict", is_flag=True, help="Refuse impossible inertias and implausible sizes."),
 )

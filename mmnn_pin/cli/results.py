@@ -184,9 +184,9 @@ def pictures(out: Path, whats: tuple[str, ...]) -> dict[str, Path]:
 def judge(run: Path, payload: float | None, windows: int, plots: Path | None, force: bool, as_json: bool) -> int:
     """Judge one recording: whether it learned Psi, or only followed it.
 
-    It prints the fraction of Psi's variance that the estimate leaves unexplained (FVU), online and with final weights
-    held, on the run's own trajectory, on another one and with a payload (mmnn docs explanation/proof); by what it was
-    excited, and what the run leaves undetermined.
+    It prints the fraction of Psi's variance that the estimate leaves unexplained (FVU), online and with the final
+    weights held, on the run's own trajectory, on another one and with a payload (mmnn docs explanation/proof). It also
+    prints how far the run excited the learner, and which directions of the weights it does not determine.
     """
     from ..lab.psi.judgement import judge as judgement
     from ..lab.show.psi import render
@@ -247,7 +247,7 @@ def replay(
     package_dirs: tuple[str, ...],
     as_json: bool,
 ) -> int:
-    """Watch recordings in the browser; several play in one scene.
+    """Watch recordings in the browser, several in one scene or side by side.
 
     RUN is a recording, or a folder with recordings. Without --html the page is served on this machine only, until
     Ctrl-C.

@@ -78,17 +78,17 @@ def ros2(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Control a robot through its ROS 2 topics, as a file of parameters says.
+    """Control a robot through ROS 2 topics.
 
-    It subscribes to joint states and odometry, takes setpoints (Twist, JointTrajectory, Path, and the action
+    The node subscribes to joint states and odometry, takes setpoints (Twist, JointTrajectory, Path, and the action
     FollowJointTrajectory that MoveIt sends), and publishes commands to the robot's ros2_control controllers, and
-    diagnostics. A supervisor stands between controller and robot: it trips when measurements stay away for too long, or
-    when an error or a speed passes its limit; then the base brakes, the arm holds, until ~/reset is called. Ctrl-C
-    stops the robot likewise, and ends the node. Messages are checked: publishers, order, age, NaN, joint names.
+    diagnostics. It checks publishers, order, age, NaN and joint names of messages. Its supervisor trips when
+    measurements stay away for too long, or when an error or a speed passes its limit. Then the base brakes and the arm
+    holds until ~/reset is called. Ctrl-C stops the robot in the same way, and ends the node.
 
-    It is a lifecycle node of rclpy: what follows --ros-args is ROS 2's (parameters, remapping, namespace, logging). It
-    is recorded as a run: mmnn plot, report and replay show it. Exit codes: 0 done, 1 tripped, 2 bad input or no robot
-    there, 130 stopped by Ctrl-C.
+    It is a lifecycle node of rclpy. Arguments after --ros-args go to ROS 2 (parameters, remapping, namespace, logging).
+    Its recording is a run like any other: mmnn plot, report and replay show it. Exit codes: 0 done, 1 tripped, 2 bad
+    input or no robot there, 130 stopped by Ctrl-C.
     """
     if example is not None:
         from ..deploy.ros2.example import write_package

@@ -49,10 +49,10 @@ def study(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Make every run of STUDY.toml that is not stored yet, then print what came out.
+    """Make every run of STUDY.toml that is not stored yet, then print a summary.
 
-    A run that diverges is a row like any other. Rows are stored while it goes on: after Ctrl-C, a kill or a crash the
-    same command goes on with what is missing. `mmnn docs how-to/studies` explains the file.
+    A run that diverges is a row like any other. Rows are stored as runs end: after Ctrl-C, a kill or a crash the same
+    command continues with the missing runs. `mmnn docs how-to/studies` explains the file.
     """
     from ..lab.experiments.runner import window_notes
     from ..lab.show.study import render, to_dict
@@ -176,9 +176,9 @@ def tune(
 ) -> int:
     """Try gains within the bounds of STUDY.toml's [tune] and print the best.
 
-    Each set of gains is run on all draws of the study; a quantile of the objective over them counts, not one run. Gains
-    that make the sampled PD loop unstable, and learning rates beyond the certificate's condition, are refused without
-    the study's runs. Trials are stored as they finish: the same command goes on with what is missing. Needs
+    Each set of gains is run on all draws of the study, and judged by a quantile of the objective over them. Gains that
+    make the sampled PD loop unstable, and learning rates beyond the certificate's condition, are refused without a run.
+    Trials are stored as they end: the same command continues with the missing ones. Needs
     `pip install 'mmnn_pin[tune]'`.
     """
     from ..lab.study.execution import probe

@@ -40,10 +40,10 @@ def warm(
     overrides: dict[str, Any],
     as_json: bool,
 ) -> int:
-    """Compile ahead what EXPERIMENT runs.
+    """Compile the code of EXPERIMENT in advance, so that its first run begins at once.
 
-    Its first run then begins at once. Every controller is run for some samples; nothing is written but compiled code.
-    After Ctrl-C what is compiled by then is kept.
+    Every controller is run for some samples, and nothing but compiled code is written. Ctrl-C keeps what has been
+    compiled.
     """
     import msgspec
 

@@ -149,8 +149,8 @@ def bodies_table(report: dict[str, Any]) -> Table:
     total = f"Together {whole['mass']:.4g} ± {1.96 * whole['mass_sd']:.2g} kg, in the URDF {whole['urdf_mass']:.4g} kg."
     if "driven" in whole:
         total += (
-            f" Straight ahead it drives as {whole['driven']:.4g} ± {1.96 * whole['driven_sd']:.2g} kg: with what turns "
-            "in wheels and motors."
+            f" Effective mass of driving straight, with wheels and rotors: {whole['driven']:.4g} ± "
+            f"{1.96 * whole['driven_sd']:.2g} kg."
         )
     return Table("Bodies", columns, tuple(rows), (total, note))
 
