@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 
 TIMES = ("t", "time", "timestamp", "stamp", "sec", "seconds")  # heads of the column of times; the first is our own
+HEADINGS = ("theta", "yaw", "heading", "psi", "th")  # heads that others give to phi
 SECONDS = ("s", "sec", "seconds")
 MEASURED, SLOW = 100, 0.9  # rows of what is no list of waypoints; from this step on their times are hardly seconds [s]
 APART, TURNED = 0.02, 0.1  # how far beside samples the motion may pass that is driven in their place [m, rad]

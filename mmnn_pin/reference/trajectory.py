@@ -25,7 +25,7 @@ from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
 from .holonomic import HolonomicPath
 from .joint import Hold, JointProfile, JointTable, Points
 from .path import BasePath, Line, Waypoints, require_positive, times
-from .samples import BASE_COLUMNS, TIMES, BaseTable, TableColumns, check_followable, require_within, table_of
+from .samples import BASE_COLUMNS, HEADINGS, TIMES, BaseTable, TableColumns, check_followable, require_within, table_of
 from .timed import Smoothed, Timed
 
 
@@ -221,7 +221,7 @@ class Trajectory:
                 the file, and the line of what is no number or beyond a joint's limits.
             UnknownName: A column `position.NAME` or `velocity.NAME` of a joint that the arm does not have.
 
-        Columns of other names are left alone, but not one that looks like a joint which has none.
+        Columns of other names are left alone, but not one that looks like a joint, or a heading, which has none.
         """
         found, nb = TableColumns.read(file, ()), robot.dimensions.base
         names = {name: f"position.{name}" for name in robot.joint_names}
@@ -236,6 +236,9 @@ class Trajectory:
             if head not in used and (near := [name for name in names if name not in joints and alike(head, name)]):
                 fix = f"name it {names[near[0]]}, or something that is no joint's"
                 why = f"it may be {near[0]}, which has no column"
+                raise TrajectoryError(f"nothing uses the column '{head}'", why=why, fix=fix, file=file, line=1)
+            if nb and head not in used and head.lower() in HEADINGS and "x" in found and "phi" not in found:
+                why, fix = "it may be the heading, which has no column", "name it phi, or something that is no heading"
                 raise TrajectoryError(f"nothing uses the column '{head}'", why=why, fix=fix, file=file, line=1)
         moves = bool(nb) and any(name in found for name in BASE_COLUMNS)
         if not joints and not moves:

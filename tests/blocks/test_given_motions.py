@@ -169,6 +169,7 @@ BAD = {
     "times in another unit": ("time_ms,x,y\n0,0,0\n100,1,0\n", "no column t: 'time_ms' may be it: name it t where", 1),
     "of another base": ("t,vx,vy,w\n0,0,0,0\n1,0,0,0\n", "nothing uses the column 'vy': this base moves by v, w", 1),
     "two of one": ("t,v,vx,w\n0,0,0,0\n1,0,0,0\n", "nothing uses the column 'v': this base moves by v, w", 1),
+    "a heading": ("t,x,y,Yaw\n0,0,0,0\n1,1,0,0\n", "nothing uses the column 'Yaw': it may be the heading", 1),
     "a jump of a joint": (
         "t,arm_1_joint\n" + "".join(f"{k / 10},{0.001 * k + 0.6 * (k > 20)}\n" for k in range(40)),
         "arm_1_joint jumps by 0.601 rad to its row of t = 2.1 s: that is 6.01 rad/s, beside 0.01 rad/s around it",

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -665,6 +666,13 @@ def test_what_cannot_be_embedded_is_refused_in_one_line(tmp_path, capsys):
     for text, arguments in cases.items():
         assert text in refused(capsys, *arguments)
         assert not (tmp_path / "c").exists()
+
+
+def test_limits_are_asked_for_by_a_command_that_works(tmp_path, capsys):
+    (tmp_path / "free.urdf").write_text(FREE)
+    asked = ["track", "--controller", "pd", "--robot", str(tmp_path / "free.urdf"), "--out", str(tmp_path / "c")]
+    fix = shlex.split(refused(capsys, *asked, "--no-check").partition("place of 10, ")[2])
+    assert fix[0] == "--set" and main(["embed", *asked, *fix, "--no-check"]) == 0
 
 
 def test_what_does_not_fit_is_refused_with_the_numbers(tmp_path, capsys):

@@ -213,6 +213,7 @@ def test_settings_are_of_the_types_that_the_class_declares(law: Path) -> None:
             "laws.py:<class Loose>: error: Loose is no TorqueController: derive it from",
         ),
         ("{law}:Half", "laws.py:<class Half>: error: Half lacks estimate, learn: write it"),
+        ("{short}:Short", "short.py:2: error: Short.step takes self, s: write def step(self, time, reference, "),
         ("{law}:Plain", "laws.Plain: error: Plain cannot be made: TypeError"),
         ("{law}:Picky", "laws.py:<[self.name]>: error: controller 'Picky' failed: KeyError: 'Picky'"),
         ("{law}", "names no class: write FILE.py:Class"),
@@ -228,7 +229,9 @@ def test_what_is_wrong_with_a_file_is_one_line(
 ) -> None:
     (tmp_path / "broken.py").write_text("x = 1\n\nclass (:\n")
     (tmp_path / "lacking.py").write_text("import os\nimport no_such_thing\n")
-    places = {name: tmp_path / f"{name}.py" for name in ("none", "broken", "lacking")} | {"law": law}
+    short = "from mmnn_pin import TorqueController\nclass Short(TorqueController):\n    def step(self, s): ...\n"
+    (tmp_path / "short.py").write_text(short)
+    places = {name: tmp_path / f"{name}.py" for name in ("none", "broken", "lacking", "short")} | {"law": law}
     for mark in re.findall("<(.+)>", words):
         (line,) = (str(i) for i, text in enumerate(law.read_text().splitlines(), 1) if mark in text)
         words = words.replace(f"<{mark}>", line)

@@ -182,7 +182,8 @@ def require_limits(stepper: Fresh) -> None:
     free = [name for name, limit in zip(robot.actuator_names, torque, strict=True) if not np.isfinite(limit)]
     if free:
         why = f"no effort limit of {', '.join(free)} is known"
-        fix = "state <limit effort=...> in the URDF, or --set 'safety.torque=[...]'"
+        named = ", ".join(f"{limit:g}" if np.isfinite(limit) else "10" for limit in torque)
+        fix = f"state <limit effort=...>, or, with its own in the place of 10, --set 'safety.torque=[{named}]'"
         raise ConfigError("motors that nothing limits", why=why, fix=fix, key="safety.torque")
 
 

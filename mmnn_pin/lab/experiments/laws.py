@@ -175,7 +175,7 @@ def load_class(spec: str) -> type[TorqueController]:
 
     Raises:
         InputError: No such file or module, one that fails when it is read, no such class, or one that is no
-            `TorqueController` or lacks a method.
+            `TorqueController`, lacks a method, or has one with other arguments.
     """
     place, name = parsed(spec)
     module = read_file(Path(place)) if place.endswith(".py") else read_module(place)
@@ -196,6 +196,15 @@ def load_class(spec: str) -> type[TorqueController]:
         )
     if missing := sorted(getattr(kind, "__abstractmethods__", ())):
         raise ConfigError(f"{name} lacks {', '.join(missing)}", fix="write it", file=file, line=line_of(kind))
+    base = LearningLaw if issubclass(kind, LearningLaw) else TorqueController
+    for method in sorted(base.__abstractmethods__):
+        asked, own = (inspect.signature(getattr(one, method)) for one in (base, kind))
+        try:
+            own.bind(*asked.parameters)
+        except TypeError:
+            what = f"{name}.{method} takes {', '.join(own.parameters)}"
+            fix = f"write def {method}({', '.join(asked.parameters)})"
+            raise ConfigError(what, fix=fix, file=file, line=line_of(kind)) from None
     return kind
 
 

@@ -275,6 +275,9 @@ def test_runs_that_track_alike_share_the_headline() -> None:
     assert "their RMS errors are on average 50 % smaller than those of pid, the next best" in told
     assert "within 0.5 % of one another" in found("learned", "feedforward")
     assert found("learned", "pid").startswith("learned tracks best of 2: ")
+    sizes |= {"learned": 1e-9, "feedforward": 3e-9}  # which no robot shows
+    assert found(*sizes).startswith("learned and feedforward track alike, best of 4: ")
+    assert "none of their RMS errors reaches a micrometre" in found("learned", "feedforward")
 
 
 def of_peak(peak: float, start: float = 0.0) -> Callable[..., None]:

@@ -50,6 +50,7 @@ def verdict(result: Result) -> ReportVerdict:
     return ReportVerdict(headline(result), tuple(points(result)), tuple(warnings(result)))
 
 
+UNSEEN = 1e-6  # m or rad (per second): a smaller RMS error is seen on no robot
 ALIKE = 0.005  # errors within this share of one another are alike: full percents are printed
 
 # A number of runs that push, one that is there only where it was reached, and the sentence.
@@ -69,8 +70,13 @@ def headline(result: Result) -> str:
         return f"{who} is lost: {where}{too_weak(result, judged[0])}."
     if len(judged) < 2:
         return alone(result, next(iter([*judged, *result.recordings])))
-    best, alike = judged[0], [name for name in judged if 1 - scores[judged[0]] / scores[name] < ALIKE]
+    best, small = judged[0], [name for name in judged if worst_rms(result, name) < UNSEEN]
+    alike = [name for name in judged if 1 - scores[best] / scores[name] < ALIKE]
+    if best in small:  # none of these can be told from another on a robot
+        alike = judged[: max(len(alike), next((i for i, name in enumerate(judged) if name not in small), len(judged)))]
     who = best if len(alike) == 1 else f"{listed(alike)} track alike"
+    if alike == judged and small == judged:
+        return f"{who}: in {when(result)} none of their RMS errors reaches a micrometre or microradian."
     if alike == judged:
         return f"{who}: in {when(result)} their RMS errors are on average within {100 * ALIKE:g} % of one another."
     second = judged[len(alike)]
@@ -196,6 +202,11 @@ def mean_log(result: Result, name: str) -> float:
     """Mean logarithm of the RMS errors of a run in the last window; inf where it has none."""
     numbers = [value for key, value in result.metrics[name].items() if key.endswith(window(result)) and value > 0]
     return math.fsum(map(math.log, numbers)) / len(numbers) if numbers else math.inf
+
+
+def worst_rms(result: Result, name: str) -> float:
+    """The largest RMS error of a run in the last window, of whatever unit."""
+    return max(value for key, value in result.metrics[name].items() if key.endswith(window(result)))
 
 
 def window(result: Result) -> str:
