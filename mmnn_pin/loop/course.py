@@ -9,8 +9,9 @@ import numpy as np
 
 from ..model.robot import Robot
 from ..recording.recording import Outcome
+from ..recording.schema import labels_of
 from ..safety import TRIPPED, remarks, trip_of
-from ..signals import SIGNALS, Array, Layout
+from ..signals import SIGNALS, Array
 from .compiled import CompiledLoop
 from .interruption import no_interruption
 from .ordinary import OrdinaryLoop
@@ -59,7 +60,7 @@ def to_the_end(
             if bad == TRIPPED:
                 break
             if bad >= 0:
-                return diverged(engine.row, loop.layout, bad, k * h, sink)
+                return diverged(engine.row, loop, bad, k * h, sink)
             if progress is not None:
                 progress(k * h)
             if cancelled():
@@ -82,11 +83,14 @@ def with_remarks(outcome: Outcome, engine: Engine, robot: Robot) -> Outcome:
     return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
 
 
-def diverged(row: Array, layout: Layout, column: int, time: float, sink: Sink) -> Outcome:
+def diverged(row: Array, loop: Setup, column: int, time: float, sink: Sink) -> Outcome:
     """Outcome of a run whose row went bad at a column; a row that is still finite is kept."""
-    i = int(np.searchsorted(layout.offsets[: len(SIGNALS)], column, side="right") - 1)
-    signal, value = f"{SIGNALS[i][0]}[{column - layout.offsets[i]}]", row[column]
+    ends = loop.layout.offsets[: len(SIGNALS) + 1]
+    i = int(np.searchsorted(ends[:-1], column, side="right") - 1)
+    name, at, value = SIGNALS[i][0], int(column - ends[i]), row[column]
     if np.isfinite(row).all():
         sink.append_block(row[None], np.zeros(1))
+    labels = labels_of(name, int(ends[i + 1] - ends[i]), loop.robot.facts())
+    what = f"{name} of {labels[at]}" if labels[at:] and labels != (name,) else f"{name}[{at}]"
     why = "left its bounds" if np.isfinite(value) else "is not finite"
-    return Outcome("diverged", time, signal, f"{signal} {why} ({value:.3g}) at t = {time:g} s")
+    return Outcome("diverged", time, f"{name}[{at}]", f"{what} {why} ({value:.3g}) at t = {time:g} s")

@@ -391,7 +391,8 @@ def test_run_that_leaves_its_bounds_ends_at_once(tmp_path, engine):
     wild = loop(PD(Feedback(arm=130.0)), 2.0, engine=engine, check_gains=False, bounds=Bounds(joint_speed=5.0))
     run = wild.run(tmp_path / "run.h5")
     assert run.outcome.status == "diverged" and run.complete
-    assert run.outcome.signal in ("nu[2]", "nu[3]") and "left its bounds" in run.outcome.message
+    joint = {"nu[2]": "arm_1_joint", "nu[3]": "arm_2_joint"}[run.outcome.signal]
+    assert run.outcome.message.startswith(f"nu of {joint} left its bounds (")
     assert 0 < run.outcome.time < 2.0
     nu = np.abs(run["nu"])
     assert run.time[-1] == pytest.approx(run.outcome.time)  # the sample that left is finite, so it is kept

@@ -374,7 +374,7 @@ def test_the_page_is_whole_and_tells_the_answer(done: Path, tmp_path: Path, caps
     assert sentences(results, verdict(results))[0].replace("'", "&#39;") in text
     head, *_ = text.partition("<svg")
     assert text.count("<svg") == 5 and "src=" not in text and "http" not in head
-    assert re.search(r"row \d+: nu\[\d\] left its bounds", text)
+    assert re.search(r"row \d+: nu of \w+ left its bounds", text)
     assert main(["report", str(done), "--html", str(tmp_path / "page.html")]) == 2
     assert main(["report", str(done), str(done), "--html", str(tmp_path / "two.html")]) == 2
     assert "a study among other runs" in capsys.readouterr().err
