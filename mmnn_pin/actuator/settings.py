@@ -57,13 +57,13 @@ class Actuator(Settings, frozen=True):
         lag: Time constant of the current loop [s]; 0 for none.
         voltage: Voltage of the supply [V]; None for an unlimited supply, without PWM and sag.
         torque_constant: kt at the joint, torque per current and back-EMF per speed alike [N m/A]; with a voltage.
-        resistance: Of the winding [Ohm]; with a voltage.
-        battery_resistance: Of the supply [Ohm], less than that of all windings in parallel.
+        resistance: Resistance of the winding [Ohm]; with a voltage.
+        battery_resistance: Resistance of the supply [Ohm], less than that of all windings in parallel.
         pwm_levels: Steps of the PWM between 0 and the voltage; 0 for a continuous voltage.
         gap: Backlash of the gear, from flank to flank [rad or m]; 0 for none.
         rotor_inertia: Inertia on the motor's side of the gap, seen from the joint [kg m^2 or kg]; needed with a gap.
-        stiffness: Of the flank [N m/rad or N/m].
-        damping: Of the flank [N m s/rad or N s/m].
+        stiffness: Stiffness of a flank [N m/rad or N/m].
+        damping: Damping of a flank [N m s/rad or N s/m].
         rotor_friction: Coulomb friction on the motor's side [N m or N].
         brake: Torque per speed of a motor with shorted windings; a supervisor shorts them when it has to stop without
             measurements [N m s/rad or N s/m].

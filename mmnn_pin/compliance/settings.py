@@ -18,17 +18,17 @@ class Impedance(Settings, frozen=True):
 
     Args:
         frame: A link or joint that the arm moves; empty for the robot's hand.
-        stiffness: Of the position, one number or one per axis [N/m].
-        rotation: Of the orientation, likewise; 0 leaves it free [N m/rad].
-        damping: Of the position, likewise; None for `ratio` of critical at the start [N s/m].
-        rotation_damping: Of the orientation, likewise [N m s].
-        ratio: Damping ratio where no damping is given.
-        axes: Whether axes are the world's or those of the hand as the setpoint has it.
-        share: How much of the hand's motion the base takes over, in (0, 1); the rest is the arm's.
-        station: How much of its own reference the base keeps where that does not move the hand: 1 all, 0 nothing, so
-            that it goes where the hand and the arm's posture take it.
+        stiffness: Stiffness of the position, one number or one per axis [N/m].
+        rotation: Stiffness of the orientation, likewise; 0 leaves it free [N m/rad].
+        damping: Damping of the position, likewise; None for `ratio` of critical at the start [N s/m].
+        rotation_damping: Damping of the orientation, likewise [N m s].
+        ratio: Damping ratio if no damping is given.
+        axes: Whether axes are the world's or those of the hand's setpoint.
+        share: How much of the hand's motion the base takes over, in (0, 1); the arm takes the rest.
+        station: How much of its own reference the base keeps where that does not move the hand: with 1 all, with 0
+            nothing, so that it goes where the hand and the arm's posture take it.
         limit: Largest force of a spring [N].
-        mass: Of the hand where the arm takes no torques; None for what it weighs at the start [kg].
+        mass: Mass of the hand if the arm takes no torques; None for the hand's effective mass at the start [kg].
 
     Raises:
         ConfigError: A number that is negative or not finite, or no limit.
@@ -63,15 +63,16 @@ class Force(Settings, frozen=True):
     """A force of the hand on what it touches, along one direction, or along the way that a door lets it go.
 
     Args:
-        along: Direction in the world, need not be of unit length; None for the first of down, left and ahead in which
-            the arm can push.
-        newtons: The force [N]; of what is followed the largest one.
-        start: When it begins [s]; until then the hand is to be free, and what its springs carry is the model's error.
-        rise: How long it takes to grow [s].
-        gain: Of the integral of the error by the wrench that is felt, less what is felt until `start` [1/s].
-        follow: Whether the hand goes along with `speed`, turning `along` to where it can move.
-        speed: Of that [m/s].
-        far: How far it goes [m].
+        along: Direction in the world, of any length; None for the first of down, left and ahead in which the arm can
+            push.
+        newtons: The force [N]; with `follow` the largest force.
+        start: When the force begins [s]; nothing may touch the hand before, as its springs' load then counts as the
+            model's error.
+        rise: How long the force takes to grow [s].
+        gain: Gain of the integral of the force error that is felt, less what is felt before `start` [1/s].
+        follow: Whether the hand moves with `speed`, turning `along` to where it can move.
+        speed: Speed of a hand that follows [m/s].
+        far: How far a hand that follows goes [m].
         turning: How fast the direction turns to the hand's motion [1/s].
 
     Raises:

@@ -44,12 +44,12 @@ class Surface(Window, frozen=True, kw_only=True, tag="surface"):
 
     Args:
         frame: What touches it; empty for the robot's hand.
-        normal: Where it faces, in the world; need not be of unit length. None for against the first of down, left and
-            ahead in which the arm can push.
-        gap: How far before the frame it is when the run begins [m].
-        at: A point on it in the world [m]; None for where `gap` says.
-        stiffness: k [N/m].
-        damping: c while it is pressed [N s/m].
+        normal: Direction in which it faces, in the world, of any length. None for the opposite of the first of down,
+            left and ahead in which the arm can push.
+        gap: Distance from the frame when the run begins [m].
+        at: A point of the surface in the world [m]; None for the place that `gap` gives.
+        stiffness: Stiffness k [N/m].
+        damping: Damping c while it is pressed [N s/m].
         friction: Coulomb coefficient.
 
     Raises:
@@ -83,11 +83,11 @@ class HingedDoor(Window, frozen=True, kw_only=True, tag="door"):
         frame: What holds it; empty for the robot's hand.
         hinge: From the handle to the hinge, ahead and to the left of the robot as it stands when the run begins [m].
         opens: Whether the robot pulls or pushes; a hinge at its side turns one way for each.
-        inertia: About the hinge [kg m^2].
-        friction: Of the hinge [N m].
-        damping: Of the hinge [N m s].
+        inertia: Inertia about the hinge [kg m^2].
+        friction: Dry friction of the hinge [N m].
+        damping: Viscous friction of the hinge [N m s].
         grip: Stiffness between hand and handle [N/m].
-        grip_damping: [N s/m].
+        grip_damping: Damping between hand and handle [N s/m].
 
     Raises:
         ConfigError: Numbers out of range, or a hinge at the handle.

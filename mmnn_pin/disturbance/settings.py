@@ -55,7 +55,7 @@ class Push(Window, frozen=True, kw_only=True, tag="push"):
         shape: "step" is there from start to end; "impulse" is given within the step of the plant at start, whatever the
             end; "sine" starts with phase 0; "noise" is white, held over each control period.
         force: Height of the step, amplitude, or standard deviation [N, N m]; of an impulse its integral [N s, N m s].
-        frequency: Of a sine [Hz].
+        frequency: Frequency of a sine [Hz].
 
     Raises:
         ConfigError: A force that is not finite or too large, a frequency that is not positive.
@@ -78,11 +78,11 @@ class Payload(Settings, frozen=True, kw_only=True, tag="payload"):
     """A point mass that the arm picks up; it moves as the arm does when that happens, so nothing jerks.
 
     Args:
-        mass: [kg].
-        start: When [s].
+        mass: Mass of the load [kg].
+        start: When it is picked up [s].
         end: When it is put down, inf for never [s].
         joint: Joint whose link carries it; empty for the last of the arm.
-        at: Where, in that joint's frame [m].
+        at: Its place in that joint's frame [m].
 
     Raises:
         ConfigError: A mass that is not positive, a time that is negative, an end that is not after the start.
@@ -140,11 +140,11 @@ class Messages(Window, frozen=True, kw_only=True, tag="messages"):
     """Messages of the sensors that are lost, late or wrong.
 
     Args:
-        fault: "lost": none arrives, as when their process was killed. "late": late by `delay` measurements more.
-            "shuffled": every second one is late by `delay`, so that they come out of order. "nan": no numbers.
+        fault: "lost": no message arrives, as if the process was killed. "late": each comes `delay` measurements later.
+            "shuffled": every second one comes `delay` later, so that they are out of order. "nan": not a number.
             "spike": every tenth one is off by `size` in every number.
-        delay: Of late and shuffled messages, in measurements.
-        size: Of a spike [m, rad, m/s, rad/s].
+        delay: Delay of late and shuffled messages, in measurements.
+        size: Size of a spike [m, rad, m/s, rad/s].
 
     Raises:
         ConfigError: A delay out of range, a size that is not finite.

@@ -23,9 +23,9 @@ class Latency(Settings, frozen=True):
 
     Args:
         sensing: Age of a measurement when it is used [s]; a whole number of measurements in a simulation.
-        command: Time from there to the motors [s], rounded to steps of the plant.
+        command: Delay from the control sample to the motors [s], rounded to steps of the plant.
         jitter: Largest further delay of a command, drawn anew for each; none overtakes another [s].
-        margin: Delay beyond these that a loop should bear; less is reported. Lower feedback gains bear more [s].
+        margin: Delay margin that a loop should have beyond these [s]; less is reported. Lower feedback gains have more.
         predict: Whether a measurement is moved on as the reference has moved since it was taken (`loop.lead.catch_up`);
             this needs a measurement at every control sample.
 

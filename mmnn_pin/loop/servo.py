@@ -74,19 +74,19 @@ class Servo(Settings, frozen=True):
     Args:
         bandwidth: b, one number or one per velocity [1/s].
         gain: k of the error, one number or one per velocity.
-        rate: Of the integral, one number or one per velocity [1/s].
-        delay: Of the simulated servo beside the latency [s].
-        strength: Largest torque of the simulated servo over the URDF's effort limit; joints without one have none.
-        stiffness: Kp of a position servo, one number or one per motor like all that follow [N m/rad or N/m]; 0 for one
-            that moves between the positions that it is sent as its bandwidth says.
+        rate: Rate of the integral, one number or one per velocity [1/s].
+        delay: Delay of the simulated servo, in addition to the latency [s].
+        strength: Largest torque of the simulated servo over the URDF's effort limit; joints without one have no limit.
+        stiffness: Kp of a position servo, one number or one per motor like all that follow [N m/rad or N/m]; a servo
+            with 0 moves between the positions that it gets with its bandwidth.
         damping: Kd of a position servo on the joint's speed, back-EMF included [N m s/rad or N s/m].
         integral: Ki of a position servo [N m/(rad s) or N/(m s)].
-        stall: Torque of a position servo at rest with all of its voltage, the most that its PID asks for; 0 for no
-            such limit [N m or N].
-        dead_band: Error that a position servo takes for none [rad or m].
-        profile_speed: Largest speed at which a position servo moves its goal; 0 for at once [rad/s or m/s].
-        profile_acceleration: Likewise [rad/s^2 or m/s^2].
-        period: Of a servo's own loop [s]; 0 for every step of the plant.
+        stall: Torque of a position servo at rest with full voltage, the most that its PID asks for; 0 for no such limit
+            [N m or N].
+        dead_band: Error to which a position servo does not react [rad or m].
+        profile_speed: Largest speed at which a position servo moves its goal; 0 for no limit [rad/s or m/s].
+        profile_acceleration: Largest acceleration of its goal; 0 for no limit [rad/s^2 or m/s^2].
+        period: Period of a servo's own loop [s]; 0 for every step of the plant.
 
     Raises:
         ConfigError: A number that is negative or not finite, or a bandwidth of 0.

@@ -33,15 +33,16 @@ class Limits(Settings, frozen=True):
     Args:
         speed: Largest speed of the base [m/s].
         yaw_rate: Largest yaw rate [rad/s].
-        acceleration: Of the base, None for 1 where it is made here [m/s^2].
-        yaw_acceleration: None for 2 [rad/s^2].
-        joint_speed: One number or one per joint [rad/s or m/s]; "urdf" for the velocity limits of the URDF, 1 where it
-            states none.
-        joint_acceleration: One number or one per joint, None for 5 [rad/s^2 or m/s^2].
-        joint_jerk: Of motions to a goal, one number or one per joint [rad/s^3 or m/s^3].
-        joint_margin: Distance from the joints' ends that is kept [rad or m].
-        samples: What becomes of full samples that jump or are too fast: "limited" leads the reference to them within
-            the limits, "exact" takes them as they are, but for the joints' ends.
+        acceleration: Largest acceleration of the base [m/s^2]; None for 1 in motions made here.
+        yaw_acceleration: Largest yaw acceleration [rad/s^2]; None for 2 in motions made here.
+        joint_speed: Largest speed of the joints, one number or one per joint [rad/s or m/s]; "urdf" for the velocity
+            limits of the URDF, 1 if it states none.
+        joint_acceleration: Largest acceleration of the joints, one number or one per joint [rad/s^2 or m/s^2]; None for
+            5 in motions made here.
+        joint_jerk: Largest jerk of motions to a goal, one number or one per joint [rad/s^3 or m/s^3].
+        joint_margin: Distance that is kept from the joints' stops [rad or m].
+        samples: What is done with full samples that jump or are too fast: "limited" leads the reference to them within
+            the limits, "exact" takes them unchanged except at the joints' stops.
 
     Raises:
         ConfigError: A number that is not positive and finite.

@@ -121,28 +121,28 @@ class Safety(Settings, frozen=True):
         joint_speed: Largest speed of an arm joint, one number or one per joint [rad/s or m/s], "urdf" for the URDF's.
         wheel_speed: Largest speed of a drive wheel by the measured velocity of the base, one number or one per wheel
             [rad/s], "urdf" for the URDF's.
-        steering_rate: Likewise of a joint by which a motor steers, one number or one per joint [rad/s].
+        steering_rate: Largest rate of a joint by which a motor steers, one number or one per joint [rad/s].
         position_error: Largest distance of the base from its reference [m].
         heading_error: Largest heading error [rad].
         joint_error: Largest error of an arm joint, one number or one per joint [rad or m].
-        jump: Largest change of a joint's measured position between two measurements that its speed does not explain,
-            one number or one per joint [rad or m].
+        jump: Largest change of a joint's measured position between two measurements beyond what its speed explains, one
+            number or one per joint [rad or m].
         slowest: Longest control period on average over some 10 samples [s].
-        shaking: Largest RMS over a second of the part of what is learned, Psi_hat and robust term, that is faster than
-            10 Hz, as a share of a motor's limit: of `torque`, else of the URDF's. A learner beyond it shakes the motor.
-            Psi of a model alone is not learned.
-        contact: What happens where contact is felt (`touch`): "stop" trips, "comply" gives way, carried by the model
-            and damped, and goes back slowly, "go on" is up to the controller.
+        shaking: Largest RMS over a second of the learned torque (Psi_hat and robust term) faster than 10 Hz, as a share
+            of a motor's limit (`torque`, else the URDF's). A learner beyond it shakes the motor. Psi of a model alone
+            does not count.
+        contact: What is done on contact (`touch`): "stop" trips; "comply" gives way, carried by the model and damped,
+            and goes back slowly; "go on" leaves it to the controller.
         weights: Largest Frobenius norm of every array of weights; larger ones are scaled back at every sample.
-        timeout: Age of the measurement or of the command at which it trips [s]. None: 0.5, and before a joint
-            may have turned 0.2 rad or slid 0.05 m, or the base moved 0.05 m or turned 0.2 rad, while none came.
-            Positions that stay, to the last bit, while their velocity or the reference's leads on count as none.
+        timeout: Age of the measurement or of the command at which it trips [s]. None: at 0.5 s, and before a joint may
+            have turned 0.2 rad or slid 0.05 m, or the base moved 0.05 m or turned 0.2 rad, since the last measurement.
+            A position that stays the same to the last bit while its velocity or the reference's moves on is none.
         ramp: Time in which torque goes to zero: all of it without measurements, the last command without commands [s].
         stop_time: How long a tripped run goes on, to show the stop [s].
-        settle: Time that feedback has to bring the robot to rest, where motors can short their windings instead; after
-            it the stop goes on without feedback [s].
-        rest: Measured speed that counts as rest then [m/s, rad/s].
-        hold_rate: Rate of the integral that holds the arm against gravity, slower where the feedback is too weak for it
+        settle: How long feedback may take to bring the robot to rest if motors can short their windings; the stop then
+            goes on without feedback [s].
+        rest: Measured speed that counts as rest in a stop [m/s, rad/s].
+        hold_rate: Rate of the integral that holds the arm against gravity; slower if the feedback is too weak for it
             [1/s].
 
     Raises:

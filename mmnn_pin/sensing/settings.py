@@ -52,13 +52,13 @@ class Sensor(Settings, frozen=True):
         bandwidth: wc of the filter and of the observers [rad/s].
         pose: "true", or "odometry": integrated from the wheels' encoders, so that it drifts when they slip.
         noise: Standard deviation of the arm's encoders [rad or m]. No noise is larger than `LARGEST_NOISE` deviations.
-        wheel_noise: Of the wheels' encoders [rad].
-        steering_noise: Of those on steering, casters and hitches [rad].
-        velocity_noise: Of the velocities as they are sent, one number or one per velocity [m/s, rad/s].
-        pose_noise: Of the pose as it is sent (x, y, phi) [m, m, rad].
-        base_period: Time after which pose and velocity of the base are new, in whole measurements; 0 for every one [s].
-        base_delay: How late these are beside the rest, in whole measurements [s].
-        delay: Delay of the line, in measurements.
+        wheel_noise: Standard deviation of the wheels' encoders [rad].
+        steering_noise: Standard deviation of encoders on steering, casters and hitches [rad].
+        velocity_noise: Standard deviation of the velocities that are sent, one number or one per velocity [m/s, rad/s].
+        pose_noise: Standard deviation of the pose that is sent (x, y, phi) [m, m, rad].
+        base_period: Time between new poses and velocities of the base, in whole measurements; 0 for every one [s].
+        base_delay: How much later the base's pose and velocity come than the rest, in whole measurements [s].
+        delay: Delay of messages, in measurements.
         jitter: Largest further delay, in measurements; every whole number up to it is equally likely.
         loss: Probability that a message is lost; the controller keeps what it had.
 

@@ -17,23 +17,23 @@ class Touch(Settings, frozen=True):
     the model's own errors bring it there once in `1 / false_alarms` samples.
 
     Args:
-        hand: Link or joint at whose origin the wrench is told; empty for the hand of the arm.
-        model: "urdf" is the robot as its file describes it. "learner" takes Psi_hat of the controller instead, and of
-            the file the inertia that resists the tracking error. "both" weighs the two by their doubt; a learner
-            without a covariance then counts nothing.
-        bandwidth: Of the observer [1/s].
+        hand: Link or joint at whose origin the wrench is given; empty for the hand of the arm.
+        model: "urdf" takes the robot's file. "learner" takes Psi_hat of the controller, and only the inertia that
+            resists the tracking error from the file. "both" weighs the two by their covariances; a learner without a
+            covariance then has no weight.
+        bandwidth: Bandwidth of the observer [1/s].
         false_alarms: Share of the samples in which a robot that nothing touches feels contact.
         masses: Standard deviation of a body's masses and inertias, relative.
-        friction: The same of the friction that the model states.
-        torque: The same of the torque that motors give.
-        unknown: Standard deviation of what no model states, over the feedback gains [m/s, rad/s].
-        clear: How long nothing is to be felt before a contact is over [s].
-        settle: How long a frozen learner waits after that, until the robot is back on its way; what pushed it is let
-            go with half of it [s].
+        friction: Standard deviation of the model's friction, relative.
+        torque: Standard deviation of the motors' torque, relative.
+        unknown: Standard deviation of what no model has, over the feedback gains [m/s, rad/s].
+        clear: How long nothing may be felt before a contact is over [s].
+        settle: How long a frozen learner waits after a contact until the robot is back on its reference; the torque
+            that replaces the contact's fades with half of it [s].
         yields: Share of the feedback that damps a robot which gives way (`safety.contact = "comply"`).
-        back: Largest velocity at which it goes back then [m/s, rad/s].
-        learning: What a learner does meanwhile: "frozen" until `settle` after it, "deadzone" in samples that feel
-            one, "on" as ever.
+        back: Largest velocity at which a robot that gave way goes back [m/s, rad/s].
+        learning: How a learner treats contact: "frozen" does not learn until `settle` after it, "deadzone" does not
+            learn in samples that feel it, "on" always learns.
 
     Raises:
         ConfigError: A number out of range.

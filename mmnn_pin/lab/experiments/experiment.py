@@ -133,14 +133,14 @@ class Experiment(LearnerTables, frozen=True):
         variant: Which reading of the experiment this is, where it has several files.
         robot: Bundled name or path.
         overrides: What is said about the robot, as in the file beside its URDF.
-        hardware: The table of its hardware, a profile's name or a file; when the experiment is read, what follows from
-            it becomes its other keys (`lab.experiments.hardware`).
+        hardware: Its hardware: a table, a profile's name or a file. When the experiment is read, other keys follow from
+            it (`lab.experiments.hardware`).
         effort_limits: Largest torques of its motors in place of the URDF's, one for all or one for each; 0 for the
             URDF's [N m or N].
         speed_limits: Likewise [rad/s or m/s].
         masses: Factor on the true robot's inertias, one for all or one per joint with a body (`Robot.with_masses`).
-        radii: Factor on the true radii of the drive wheels, one for all or one per wheel's joint: the true robot rolls
-            on them, controllers and what is measured by wheels take those of the file (`Robot.with_radii`).
+        radii: Factor on the true radii of the drive wheels, one for all or one per wheel's joint. The true robot rolls
+            on them; controllers and wheel odometry take those of the file (`Robot.with_radii`).
         controllers: Controllers to run, names of `CONTROLLERS` or of `laws`; `FILE.py:Class` for a class of a user.
         seed: The one seed.
         windows: Intervals for the RMS errors [s]; an interval that a run does not reach has no errors, and a note says
@@ -151,7 +151,7 @@ class Experiment(LearnerTables, frozen=True):
         torque_limits: Show every motor's peak torque beside its effort limit in the table, not only what exceeds it.
         time: Periods and integrator.
         start: Start relative to the reference.
-        bounds: Where a run counts as diverged.
+        bounds: Speeds beyond which a run counts as diverged.
         reference: The reference.
         kinematic: Gains of the kinematic layer.
         feedback: k1, k2; what is not given suits the robot (`loop.suited`).
@@ -163,23 +163,22 @@ class Experiment(LearnerTables, frozen=True):
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
         armature: Inertia of the arm's rotors, seen through their gears, one number or one per joint [kg m^2 or kg].
-        sensor: What the sensors do to the truth.
-        actuator: What the motors make of their commands.
+        sensor: Errors and delays of the sensors.
+        actuator: Limits and errors of the motors.
         safety: A supervisor between controller and motors; without the table there is none.
-        latency: How long measurements and commands are under way.
-        interfaces: What the motor of a joint takes: "velocity" or "position", and "effort" where the joint is not
-            named.
+        latency: Delays of measurements and commands.
+        interfaces: What the motor of a joint takes: "velocity" or "position"; "effort" for joints that are not named.
         servo: The servos behind velocity and position interfaces.
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag.
-        touch: What external torque is felt by; without the table nothing is.
+        touch: Observer of external torque; without the table nothing is felt.
         disturbances: What happens to the robot during a run.
-        impedance: How the hand gives way; without the table it is stiff.
-        force: What the hand pushes with.
+        impedance: Compliance of the hand; without the table it is stiff.
+        force: Force with which the hand pushes.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
         cases: Changes of this experiment, name to case; with them it runs once in each, with a verdict on every run.
-        tolerance: What a case asks of its runs.
-        held_out: Held-out trajectories by name; where none is named, one is derived from the reference (see
+        tolerance: Largest errors that a case allows.
+        held_out: Held-out trajectories by name; if none is named, one is derived from the reference (see
             `psi.held_out`).
 
     Raises:

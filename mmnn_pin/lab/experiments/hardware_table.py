@@ -30,26 +30,26 @@ class JointHardware(Settings, frozen=True):
     """Hardware of a joint, or of a group of joints; what is None is not known. All numbers are at the joint.
 
     Args:
-        interface: What is sent: "effort", "velocity", "position"; "current" or "pwm" for an effort in these units;
-            "offered" for what the URDF's `ros2_control` tags offer, a position for joints, a velocity for wheels first;
-            never an effort, which needs motors that are known.
-        bandwidth: Of the servo [1/s]; of a position servo with a stiffness that over its damping.
-        stiffness: Kp of a position servo [N m/rad or N/m], see `loop.servo.Servo`, like those that follow.
-        damping: Kd of it, back-EMF included [N m s/rad or N s/m].
-        integral: Ki of it [N m/(rad s) or N/(m s)].
-        stall: Torque at rest with all voltage [N m or N].
-        dead_band: Error that is none [rad or m].
-        profile_speed: Of its own profile [rad/s or m/s].
-        profile_acceleration: Likewise [rad/s^2 or m/s^2].
-        rate: Of its own loop [1/s].
-        torque: Largest one, in place of the URDF's [N m or N].
-        speed: Likewise [rad/s or m/s].
-        lag: Of a motor that takes efforts, its current loop [s].
+        interface: What the motor takes: "effort", "velocity", "position"; "current" or "pwm" for an effort in these
+            units; "offered" for what the URDF's `ros2_control` tags offer: first a position for joints, a velocity for
+            wheels, and never an effort, which needs known motors.
+        bandwidth: Bandwidth of the servo [1/s]; for a position servo with a stiffness the stiffness over the damping.
+        stiffness: Kp of a position servo [N m/rad or N/m], see `loop.servo.Servo`.
+        damping: Kd of a position servo, back-EMF included [N m s/rad or N s/m].
+        integral: Ki of a position servo [N m/(rad s) or N/(m s)].
+        stall: Torque of a position servo at rest with full voltage [N m or N].
+        dead_band: Error to which a position servo does not react [rad or m].
+        profile_speed: Speed of a position servo's own motion profile [rad/s or m/s].
+        profile_acceleration: Acceleration of that profile [rad/s^2 or m/s^2].
+        rate: Rate of the servo's own loop [1/s].
+        torque: Largest torque, in place of the URDF's [N m or N].
+        speed: Largest speed, in place of the URDF's [rad/s or m/s].
+        lag: Time constant of the current loop of a motor that takes efforts [s].
         encoder: Step of the encoder [rad or m].
-        backlash: Of the gear, from flank to flank [rad or m].
+        backlash: Backlash of the gear, from flank to flank [rad or m].
         rotor: Inertia of the rotor seen through the gear [kg m^2 or kg].
-        friction: Viscous, where the URDF states less [N m s/rad or N s/m].
-        coulomb: Dry, likewise [N m or N].
+        friction: Viscous friction, if the URDF states less [N m s/rad or N s/m].
+        coulomb: Dry friction, if the URDF states less [N m or N].
         torque_constant: Torque per current or, for "pwm", at full duty [N m/A or N m].
 
     Raises:
@@ -84,11 +84,12 @@ class BaseHardware(Settings, frozen=True):
     """Hardware of a base.
 
     Args:
-        odometry: Where its pose comes from: "wheels", integrated from their encoders, or "true".
-        rate: How often pose and velocity of it are new [1/s]; the loop is judged as if all were as old as these become.
-        delay: How late pose and velocity of it are beside the rest, likewise [s].
-        lag: Time constant of its velocity [s]: of a velocity interface that over which it follows, where wheels'
-            `bandwidth` is not slower; of wheels that take efforts that of their torque.
+        odometry: Source of the base's pose: "wheels", integrated from their encoders, or "true".
+        rate: How often the base's pose and velocity are new [1/s]; the loop is checked as if all measurements were as
+            old as these become.
+        delay: How much later the base's pose and velocity come than the other measurements [s]; checked likewise.
+        lag: Time constant of the base's velocity [s]. On a velocity interface the base follows with it, unless the
+            wheels' `bandwidth` is slower; for wheels that take efforts it is the time constant of their torque.
     """
 
     odometry: Literal["wheels", "true"] = "true"
@@ -108,20 +109,20 @@ class HardwareTable(Settings, frozen=True):
     Args:
         profile: Name of a profile or a file to start from.
         title: One line.
-        robots: Regular expression of names of robots, or of their folders, which have it.
+        robots: Regular expression that matches the names, or folders, of robots with this hardware.
         sources: Where the numbers come from.
-        rate: Control samples per second, "experiment" for its own [1/s].
-        delay: From a measurement to servos or motors [s].
+        rate: Control samples per second; None for the experiment's own [1/s].
+        delay: Delay from a measurement to servos or motors [s].
         jitter: Largest further delay of a command [s].
-        velocity: Where measured velocities come from, as `Sensor.velocity`.
-        filter: Their bandwidth [rad/s].
+        velocity: Source of measured velocities, as `Sensor.velocity`.
+        filter: Bandwidth of the measured velocities [rad/s].
         arm: Joints of the arm that turn.
-        slides: Those that slide; of the arm's numbers they take interface, bandwidth and rate.
-        wheels: Wheels that drive.
-        steering: Joints that steer, and the arm's numbers for none.
-        joints: Single joints, by name or pattern (`*`), more than their group.
+        slides: Joints that slide; they take interface, bandwidth and rate from `arm`.
+        wheels: Drive wheels.
+        steering: Joints that steer; they take nothing from `arm`.
+        joints: Single joints, by name or pattern (`*`); they override their group.
         base: The base.
-        notes: What reading it has found.
+        notes: Notes of the reader.
     """
 
     profile: str = ""

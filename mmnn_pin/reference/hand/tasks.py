@@ -45,11 +45,11 @@ class Task(Settings, frozen=True):
 
     Args:
         frame: A link or joint that the arm moves; empty for the tip of the arm (the first, of several arms).
-        position: Weight of its slack, one number or one along x, y, z of the world; 0 leaves that free.
-        orientation: Weight of the slack of turning, one number or one about x, y, z of the frame; 0 leaves that free.
-        looks: An axis of the frame, "x", "y" or "z", that should point at `at`; then nothing else is asked of it.
-        at: Where it looks: a frame of the robot, or a point (3,) in the world [m].
-        priority: Tasks with a smaller number come first; one with a larger number takes what they leave free.
+        position: Weight of position errors, one number or one along x, y, z of the world; 0 leaves the position free.
+        orientation: Weight of orientation errors, one number or one about x, y, z of the frame; 0 leaves it free.
+        looks: An axis of the frame, "x", "y" or "z", that should point at `at`; the frame then has no other task.
+        at: Where the axis points: a frame of the robot, or a point (3,) in the world [m].
+        priority: Tasks with a smaller number come first; tasks with a larger number use what they leave free.
 
     Raises:
         ConfigError: A weight that is negative or not finite, a priority below 0.
@@ -83,7 +83,7 @@ class WholeBodySettings(Settings, frozen=True):
     """How base and arm share the work.
 
     Args:
-        rate: How fast an error of a frame dies [1/s].
+        rate: How fast an error of a frame decays [1/s].
         approach: Largest speed and turning rate with which a frame catches up [m/s, rad/s].
         base: Cost of the base's velocities, as shares of their limits, against that of the joints'; only ratios count.
         arm: Cost of the joints' velocities likewise, one number or one per joint.
