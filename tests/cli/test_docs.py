@@ -49,8 +49,8 @@ def test_pages_and_keys(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["docs", "docs/how-to/studies.md"]) == 0
     assert capsys.readouterr().out.strip() == (ROOT / "docs/how-to/studies.md").read_text("utf-8").strip()
     assert main(["docs", "latency.margin"]) == 0
-    said = "latency.margin: Delay beyond these that a loop should bear; less is reported. "
-    said += "Lower feedback gains bear more [s]."
+    said = "latency.margin: Delay margin that a loop should have beyond these [s]; less is reported. "
+    said += "Lower feedback gains have more."
     assert capsys.readouterr().out.strip() == said
     assert main(["docs", "how-to/studie"]) == 2
     assert "did you mean 'how-to/studies'?" in capsys.readouterr().err
