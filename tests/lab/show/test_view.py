@@ -30,7 +30,7 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.show import solids as parts
 from mmnn_pin.lab.show.picture import rendered
 from mmnn_pin.lab.show.solids import placements, roles_of, solids_of, triangles_of
-from mmnn_pin.lab.show.view.view import Playback, geometry_of
+from mmnn_pin.lab.show.view.view import CELL, CELLS, Playback, floor, geometry_of
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +128,15 @@ def test_a_disc_covers_its_area_and_the_nearest_is_seen(radius, pixels):
     assert image[..., 3].sum() * cell == pytest.approx(np.pi * radius**2, abs=rim)
     assert (image[..., 3] * image[..., 1]).sum() * cell == pytest.approx(np.pi * radius**2 / 4, abs=rim)
     assert extent[0] == pytest.approx(-radius) and extent[3] == pytest.approx(radius, abs=4 * spacing)
+
+
+def test_the_floor_is_drawn_cell_by_cell():
+    """Every edge of every cell once: no line is so long that it goes on behind the eye."""
+    points = np.asarray(floor().geometry.position).T / CELL
+    edges = {tuple(map(int, edge)) for edge in points.reshape(-1, 6).round()}
+    steps = [np.subtract(edge[3:], edge[:3]).tolist() for edge in edges]
+    assert len(edges) == 4 * CELLS * (2 * CELLS + 1) == len(points) / 2
+    assert {tuple(step) for step in steps} == {(1, 0, 0), (0, 1, 0)} and np.abs(points).max() == CELLS
 
 
 def test_inspect_writes_a_picture_in_the_colours_of_the_roles(tmp_path, capsys):

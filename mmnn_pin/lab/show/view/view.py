@@ -38,6 +38,7 @@ FPS = 30.0
 PAUSE = 1.0  # at the end of a run, before it begins again [s]
 FRAME_AXES = 0.1  # length of the axes of links' frames [m]
 ARROW = 0xD00000
+CELLS, CELL = 10, 0.5  # of the floor, to every side, and their width [m]
 FROM = np.array([1.0, 0.6, 0.5])  # of the eye, for a robot of size 1
 
 
@@ -81,6 +82,7 @@ class RobotView:
         with contextlib.redirect_stdout(io.StringIO()):  # meshcat prints its own address
             self.viewer.initViewer(zmq_url=self._server.zmq_url)
         self.viewer.loadViewerModel(robot.name)
+        self.viewer.viewer["/Grid"].set_object(floor())
         self._forward(robot)
         self.viewer.setBackgroundColor("gray")
         self._show(self.position)
@@ -271,6 +273,17 @@ def page_of(robot: Robot, sliders: Sequence[Mapping[str, Any]], middle: Array, e
         script=web_file("view.js", __package__),
         style=web_file("view.css", __package__),
     )
+
+
+def floor() -> Any:
+    """A grid, of lines as short as its cells: a browser may leave out one that goes on behind the eye."""
+    import meshcat.geometry as shapes
+
+    line, start = np.meshgrid(np.arange(-CELLS, CELLS + 1), np.arange(-CELLS, CELLS))
+    still = np.zeros_like(line)
+    along = np.stack([start, line, still, start + 1, line, still], axis=-1).reshape(-1, 3)
+    points = CELL * np.vstack([along, along[:, [1, 0, 2]]]).T.astype(np.float32)
+    return shapes.LineSegments(shapes.PointsGeometry(points), shapes.LineBasicMaterial(color=0xA0A0A0))
 
 
 def geometry_of(robot: Robot, solids: Sequence[Solid]) -> pin.GeometryModel:
