@@ -76,37 +76,38 @@ class Loop:
     """A closed loop, ready to run.
 
     Args:
-        robot: The true robot, simulated by the plant, but for the radii of its wheels.
-        trajectory: What it should do.
-        controller: A controller of this package or a `TorqueController` of your own; gains that you do not give suit
-            the robot (`loop.suited`), with the delay margin that the latency asks for.
+        robot: The true robot, simulated by the plant, except the radii of its wheels (`radii`).
+        trajectory: The reference.
+        controller: A controller of this package or a `TorqueController` of your own. Gains that you do not give are
+            computed from the robot (`loop.suited`), with the delay margin that the latency needs.
         kinematic: Gains of the kinematic layer.
-        timing: Periods, and the integrator; by default one that bears the robot's friction (`suited.timing_for`).
+        timing: Periods, and the integrator; by default one that is stable with the robot's friction
+            (`suited.timing_for`).
         start: Where the run starts.
-        nominal: The robot that a controller with a model, but none of its own, believes in; None for the true one.
-        bounds: Where a state counts as lost.
+        nominal: The model of a controller that uses a model and has none of its own; None for the true robot.
+        bounds: Speeds beyond which a run counts as diverged.
         seed: The run's one seed.
         weights_interval: Time between two records of the weights [s].
         check_gains: Refuse gains that make the sampled PD loop alone unstable.
         engine: "compiled", "ordinary", or "auto": compiled where robot and controller can be, which the recording says.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo and the ordinary engine.
         contact: The floor of the contact plant.
-        sensor: What the sensors do to the truth; exact by default.
-        actuator: What the motors make of their commands; perfect by default.
+        sensor: Errors and delays of the sensors; exact by default.
+        actuator: Limits and errors of the motors; none by default.
         safety: A supervisor between controller and motors; None for none.
         disturbances: What happens to the robot during the run.
         within_limits: Whether Psi_hat gets only what the feedback leaves of every motor's limit (see `torque.law`);
             None for the controller's own choice: all learners but the thesis's networks do.
-        latency: How long measurements and commands are under way; gains that do not bear it are refused.
-        interfaces: What motors take, by joint: "velocity" or "position", "effort" where one is not named; see `servo`.
+        latency: Delays of measurements and commands; gains that are unstable with them are refused.
+        interfaces: What motors take, by joint: "velocity" or "position"; "effort" for joints that are not named.
         servo: The servos behind velocity and position interfaces.
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag, see
             `loop.lead`.
-        impedance: How the hand gives way; None for one that is stiff. Gains of the kinematic layer are then unused.
-        force: What the hand pushes with.
-        radii: True radii of the drive wheels over the robot's, one factor for all or one per wheel's joint: the plant
-            rolls on them, while controller, motors' commands and what is measured by wheels take the robot's.
-        touch: What external torque is felt by, without a sensor of forces; None for nothing.
+        impedance: Compliance of the hand; None for a stiff one. Gains of the kinematic layer are then unused.
+        force: Force with which the hand pushes.
+        radii: True radii of the drive wheels over the robot's, one factor for all or one per wheel's joint. The plant
+            rolls on them; controller, motor commands and wheel odometry use the robot's.
+        touch: Observer of external torque, without a force sensor; None for none.
 
     >>> robot = load("platform_arm")
     >>> path = Trajectory.of(robot, base=Line(speed=0.3), arm={"arm_1_joint": Sine(0.5, period=4.0)})

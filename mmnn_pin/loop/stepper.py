@@ -74,31 +74,32 @@ class StepperSettings(Settings, frozen=True):
         kinematic: Gains of the kinematic layer.
         safety: Limits of the supervisor.
         period: Control period [s].
-        limits: Limits of references that are made here.
-        setpoint_timeout: Age of a setpoint that has to be renewed at which the base brakes and the arm holds [s].
-        nominal: The robot that a controller with a model, but none of its own, believes in; None for `robot`.
-        seed: Of what a controller draws.
+        limits: Limits of references that the stepper makes.
+        setpoint_timeout: Age of the last sample or velocity at which the base brakes and the arm holds [s].
+        nominal: The model of a controller that uses a model and has none of its own; None for `robot`.
+        seed: Seed of a controller's random numbers.
         within_limits: As in `Loop`.
-        latency: Known delay from the measurement to the motors [s], which the gains have to bear; a `Latency` says how
-            much of it is the measurement's. A number is the command's, or the measurement's where that is predicted.
-        predict: Whether a measurement moves on with the reference, over its latency at most; None as `Latency` says.
-        lag: Known time constants of the motors, one number or one per motor [s], likewise.
-        lead: Whether Psi_hat leads by half the period, the lag and what of the latency is not predicted (`loop.lead`).
-        filtered: Time constant of the filter of measured velocities (`Sensor.smoothing`), which the gains have to bear
-            [s].
-        touch: What external torque is felt by; None for nothing.
-        observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
-            base velocities measured at every sample [rad/s]; 0 takes them as they come.
-        interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
-        servo: What is known of the robot's servos behind velocity and position interfaces, see `loop.servo`.
+        latency: Known delay from the measurement to the motors [s]; gains that are unstable with it are refused. A
+            `Latency` says which part is the measurement's. A number is the command's delay, with `predict` the
+            measurement's.
+        predict: Whether a measurement is moved on with the reference, over its latency at most; None as `Latency` says.
+        lag: Known time constants of the motors, one number or one per motor [s]; gains are checked with them.
+        lead: Whether Psi_hat leads by half the period, the lag and the latency that is not predicted (`loop.lead`).
+        filtered: Time constant of the filter of measured velocities (`Sensor.smoothing`) [s]; gains are checked with
+            it.
+        touch: Observer of external torque; None for none.
+        observer: Poles of a model-based observer (see `Sensor.velocity`) [rad/s]. It estimates q and all velocities
+            from angles and base velocities measured at every sample; 0 takes measurements unchanged.
+        interfaces: What the motors take, by joint: "velocity" or "position"; "effort" for joints that are not named.
+        servo: The robot's servos behind velocity and position interfaces, as far as known, see `loop.servo`.
         check_gains: Refuse gains that make the sampled PD loop unstable at one of some postures.
         path: File for the recording; None keeps it in memory, which then grows with `record`.
         force: Replace an existing file.
         meta: More facts for the recording.
-        state: What a controller has learned, of `snapshot` or of a recording (it is copied); None for a new one.
+        state: State of a controller, from `snapshot` or a recording (it is copied); None for a new one.
         weights_interval: Time between two records of the weights [s].
-        impedance: How the hand gives way; None for one that is stiff.
-        hand_force: The force that the hand pushes with.
+        impedance: Compliance of the hand; None for a stiff one.
+        hand_force: Force with which the hand pushes.
 
     Raises:
         ConfigError: No supervisor, or numbers out of range.
