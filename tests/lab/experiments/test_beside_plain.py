@@ -64,6 +64,15 @@ def test_errors_are_root_mean_squares_after_the_start(found):
     assert not compared(run, run)
 
 
+def test_effort_is_no_fault_beside_plain_control_that_is_lost():
+    """Plain control with hardly any gain spends next to nothing, and turns away by more than a radian."""
+    idle = PD(Feedback(None, (6e-3, 8e-4)))
+    wide = Trajectory.of(ROBOT, arm=dict.fromkeys(ROBOT.joint_names, Sine(1.5, period=2.0)))
+    lost = compare(ROBOT, wide, {"pd": idle, "alike": Added()}, duration=2.0)
+    spent = [float(np.sum(run["motor_torque"] ** 2)) for run in (lost["alike"], lost["pd"])]
+    assert lost.lost.keys() == {"pd"} and spent[0] > 10 * spent[1] and not lost.worse
+
+
 def test_plain_control_is_run_where_none_was_asked_for():
     alone = compare(ROBOT, SWING, {"weaker": Added(0.4)}, duration=0.4, settings={"feedback.arm": [6.0, 0.8]})
     assert list(alone) == ["weaker"] and alone.plain is not None
