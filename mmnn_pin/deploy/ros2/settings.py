@@ -45,8 +45,8 @@ class Heard(Settings, frozen=True):
     """A topic that is listened to.
 
     Args:
-        age: Oldest stamp that is taken [s].
-        publishers: How many may publish it; messages of further ones are refused.
+        age: Largest age of a message by its stamp [s]; older ones are refused.
+        publishers: How many publishers the topic may have; messages of others are refused.
 
     Raises:
         ConfigError: A number that is not positive.
@@ -63,7 +63,7 @@ class Joints(Heard, frozen=True):
     """`sensor_msgs/JointState`.
 
     Args:
-        names: How the robot calls joints that have another name in its URDF, "urdf=theirs".
+        names: The robot's names of joints that have another name in its URDF, "urdf=theirs".
 
     Raises:
         ConfigError: A text without `=`.
@@ -86,11 +86,11 @@ class Odometry(Heard, frozen=True):
     """`nav_msgs/Odometry`.
 
     Args:
-        source: "odometry": pose and velocity of the message; "tf": the pose of `/tf` and velocities from the wheels'
-            rates, nothing of this topic.
-        at: Control frame in the frame whose pose comes, `(x, y, phi)`; none looks that link up in the URDF [m, rad].
-        jump: Largest step of the pose between two messages beside what the velocity explains [m].
-        turn: Likewise of the heading [rad].
+        source: "odometry" takes pose and velocity of the message; "tf" takes the pose of `/tf` and velocities from the
+            wheels' rates, and nothing of this topic.
+        at: Control frame in the frame whose pose is sent, `(x, y, phi)`; none looks that link up in the URDF [m, rad].
+        jump: Largest step of the pose between two messages beyond what the velocity explains [m].
+        turn: Largest step of the heading, likewise [rad].
 
     Raises:
         ConfigError: A number that is not positive, or not finite.
@@ -115,7 +115,7 @@ class Frames(Settings, frozen=True):
         map: The frame of the map.
         odom: The frame in which the robot is controlled, which never jumps.
         base: The frame of the robot.
-        replace: A correction of the map from which on a path is put anew [m, rad].
+        replace: Smallest correction of the map after which a path is placed again [m, rad].
     """
 
     map: str = "map"
@@ -138,12 +138,13 @@ class Action(Settings, frozen=True):
     """The action `control_msgs/FollowJointTrajectory`, which MoveIt sends.
 
     Args:
-        path_tolerance: Largest error of a joint on the way where a goal states none; 0 for none [rad or m].
-        goal_tolerance: Largest error at the end likewise.
-        stopped_velocity: Largest velocity at the end likewise [rad/s or m/s].
-        goal_time: Time after the end in which the goal has to be reached, likewise; 0 for any [s].
-        smooth: How far a base on wheels may pass the points of a goal that it cannot roll to; 0 refuses it [m].
-        rate: Of the feedback [1/s].
+        path_tolerance: Largest error of a joint during a goal that states none; 0 for no limit [rad or m].
+        goal_tolerance: Largest error of a joint at the end, likewise [rad or m].
+        stopped_velocity: Largest velocity at the end, likewise [rad/s or m/s].
+        goal_time: Time after the end in which the goal has to be reached, likewise; 0 for no limit [s].
+        smooth: Largest distance at which a base may pass points of a goal to which its wheels cannot roll; 0 refuses
+            such a goal [m].
+        rate: Rate of the feedback [1/s].
 
     Raises:
         ConfigError: A number that is negative or not finite.
@@ -164,12 +165,12 @@ class PlannedPath(Heard, frozen=True):
     """`nav_msgs/Path` of a planner, and that of `nav2_msgs/FollowPath`, driven along its arc length.
 
     Args:
-        speed: [m/s].
-        acceleration: Along the path [m/s^2].
-        lateral: Largest sideways acceleration [m/s^2].
-        goal_tolerance: Distance from its end at which the action is done [m].
-        goal_turn: Likewise of the heading [rad].
-        goal_time: Time after the end in which it has to be done [s].
+        speed: Largest speed along the path [m/s].
+        acceleration: Largest acceleration along the path [m/s^2].
+        lateral: Largest lateral acceleration [m/s^2].
+        goal_tolerance: Distance from the path's end at which the action has succeeded [m].
+        goal_turn: Heading error at which it has succeeded [rad].
+        goal_time: Time after the end in which it has to succeed [s].
     """
 
     speed: float = 0.3
@@ -188,10 +189,10 @@ class HandTopics(Heard, frozen=True):
     """Setpoints of the hand: `~/hand/pose`, `~/hand/twist`; where it gives way `~/hand/stiffness`, `~/hand/force`.
 
     Args:
-        listen: Whether they are listened to; none: where the experiment has `[impedance]`.
-        turns: Whether the orientation counts, too.
-        speed: Largest speed with which the hand goes there [m/s].
-        turning: Largest turning rate likewise [rad/s].
+        listen: Whether the node subscribes to them; none for only if the experiment has `[impedance]`.
+        turns: Whether the hand follows the orientation, too.
+        speed: Largest speed of the hand [m/s].
+        turning: Largest turning rate of the hand [rad/s].
 
     Raises:
         ConfigError: A number that is not positive.
@@ -211,12 +212,12 @@ class Output(Settings, frozen=True):
     """Commands for one of the robot's controllers.
 
     Args:
-        type: "Float64MultiArray" of group and forward command controllers, "JointTrajectory" (one point) of
-            `joint_trajectory_controller`, "TwistStamped" or "Twist" of a base's (`diff_drive_controller`),
-            "AckermannDriveStamped" of a car's: its speed and steering angle, both as fast as it can.
-        joints: In the order in which the controller lists them, as the robot calls them; none for a base's.
-        interface: What it takes: "effort", "velocity" or "position".
-        frame: `frame_id` of what has a stamp.
+        type: "Float64MultiArray" for group and forward command controllers, "JointTrajectory" (one point) for
+            `joint_trajectory_controller`, "TwistStamped" or "Twist" for a base (`diff_drive_controller`),
+            "AckermannDriveStamped" for a car: speed and steering angle, to be reached as fast as it can.
+        joints: The controller's joints in its order, by the robot's names; none for a base.
+        interface: What the controller takes: "effort", "velocity" or "position".
+        frame: `frame_id` of messages with a stamp.
 
     Raises:
         ConfigError: Joints of a base's, none of anything else, an effort by a trajectory.
@@ -249,9 +250,9 @@ class Clocks(Settings, frozen=True):
     """Stamps of messages.
 
     Args:
-        stamps: "check" the age of what has a stamp, or "ignore" them: what comes is taken as measured when it came.
+        stamps: "check" the age of messages with a stamp, or "ignore" stamps and take the time of arrival.
         ahead: How far a stamp may lie in the future [s].
-        jump: By how much a simulated clock may go ahead at once [s].
+        jump: Largest step of a simulated clock [s].
 
     Raises:
         ConfigError: A number that is negative or not finite.
@@ -269,9 +270,9 @@ class Published(Settings, frozen=True):
     """Topics of the robot's state, as `joint_trajectory_controller` and `diff_drive_controller` have them.
 
     Args:
-        state: How often `~/controller_state` is told; 0 for never [1/s].
-        odometry: How often `~/odom` is told, out of what is measured; 0 for never [1/s].
-        tf: Whether `/tf` has the frame of the base in the odometry's.
+        state: How often `~/controller_state` is published; 0 for never [1/s].
+        odometry: How often the measured `~/odom` is published; 0 for never [1/s].
+        tf: Whether the base's frame in the odometry's is published on `/tf`.
     """
 
     state: float = 50.0
@@ -284,18 +285,18 @@ class Node(Settings, frozen=True):
 
     Args:
         robot: Name or URDF file.
-        commands: What is sent, to all motors, by the names of the robot's controllers.
+        commands: The commands for all motors, by the names of the robot's controllers.
         controller: Name of a controller, see `mmnn list`.
         experiment: Experiment with gains, learners and the supervisor's limits, name or file.
-        hardware: What its motors are, a profile or a file, see `mmnn list`; empty for the table beside the URDF.
-        set: Its keys that are changed, tables in tables.
+        hardware: The robot's hardware, a profile or a file, see `mmnn list`; empty for the table beside the URDF.
+        set: Changes to the experiment's keys, tables in tables.
         learning: Whether the controller learns; live.
         rate: Control samples per second.
-        thread_priority: Of control among real-time threads (SCHED_FIFO), as of ros2_control's controller manager, where
-            the user may have it (`rtprio`); 0 for an ordinary thread [0 to 99].
-        latency: Known delay from the measurement to the motors, which the gains have to bear [s]; none as the
-            experiment says.
-        predict: Whether measurements are moved on as the reference has moved since their stamps; none likewise.
+        thread_priority: Priority of the control thread among real-time threads (SCHED_FIFO), like ros2_control's
+            controller manager, if the user may have it (`rtprio`); 0 for an ordinary thread [0 to 99].
+        latency: Known delay from the measurement to the motors [s], for which gains are checked; none as the experiment
+            says.
+        predict: Whether measurements are moved on by the reference's motion since their stamps; none likewise.
         setpoint_timeout: Age of a velocity at which the base brakes [s].
         speed_scaling: Share of their own speed at which motions are followed, until another comes; live [0 to 1].
         follow: "topics", or "experiment": its own motion, from where the robot stands.

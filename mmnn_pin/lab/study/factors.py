@@ -32,8 +32,8 @@ class Factor(Settings, frozen=True):
         choice: Values, equally likely.
         within: Cuts `normal` and `log_normal` off outside these bounds.
         keys: Key paths of the experiment that get the value; the factor's name if there are none.
-        relative: Multiply what the experiment has with the value instead of replacing it.
-        unit: For tables and pictures.
+        relative: Multiply the experiment's value by this one instead of replacing it.
+        unit: Unit for tables and pictures.
 
     Raises:
         ConfigError: None or several distributions, or one that cannot be; the key is the argument.

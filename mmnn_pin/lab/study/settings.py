@@ -26,12 +26,12 @@ MOST = 10_000_000  # runs of one study
 
 
 class Sampling(Settings, frozen=True):
-    """How the drawn factors are drawn.
+    """How factors with a distribution are drawn.
 
     Args:
         method: "sobol", "lhs" (Latin hypercube) or "random".
         points: Number of draws; each is run with every value of the grid, seed and controller.
-        seed: Of the draws.
+        seed: Seed of the draws.
     """
 
     method: Literal["sobol", "lhs", "random"] = "sobol"
@@ -68,14 +68,14 @@ class Tune(Settings, frozen=True):
     """Settings of a search for gains by `mmnn tune`.
 
     Args:
-        controller: Whose gains.
+        controller: The controller whose gains are tuned.
         gains: Key path of the experiment to its bounds, as a factor: `uniform`, `log_uniform`, `integer` or `choice`.
-        objective: Metric to make small, as in `metrics`.
-        quantile: Which quantile of it over the study's points; a run that did not complete counts as worst.
+        objective: Metric to minimise, as in `metrics`.
+        quantile: The quantile of the objective over the study's points; a run that did not complete counts as worst.
         trials: Sets of gains to try, the experiment's own first.
         check: Fresh points on which the best gains are compared with the experiment's own afterwards.
         sampler: "tpe", "cmaes" or "random" of Optuna.
-        seed: Of the sampler.
+        seed: Seed of the sampler.
     """
 
     controller: str
@@ -114,9 +114,9 @@ class StudySettings(Settings, frozen=True):
             masses and friction of the experiment, or the "true" one of each run.
         metrics: Metrics to show and to report; `*` and `[xy]` are as in a shell, and the largest that fits counts.
             None for the peaks of the errors and the effort. All metrics are stored.
-        set: Changes of the experiment, key path to value.
-        factors: Name to what is varied; the name is the key path, unless the factor names `keys`.
-        sampling: How the drawn factors are drawn.
+        set: Changes to the experiment, key path to value.
+        factors: The factors that are varied, by name; the name is the key path, unless the factor names `keys`.
+        sampling: How factors with a distribution are drawn.
         success: When a run is a success.
         tune: What to tune.
 
