@@ -21,6 +21,7 @@ import pytest
 from builders import first_of
 from deploy.boards import STRICT, on_target, require
 from deploy.fuzzing import loop_of, write_fuzzed
+from drives import Drive
 from hypothesis import example, given
 from hypothesis import strategies as st
 from lxml import etree
@@ -125,6 +126,14 @@ def test_a_base_that_steers_has_the_bits_of_the_stepper(tmp_path, robot, control
     assert ("law_wish(" in (tmp_path / "c/controller.c").read_text()) == bool(gives)
     assert told["robot"] == robot and told["selftest_steps"] == STEPS
     assert "shape[" in (tmp_path / "c/controller.h").read_text()
+
+
+@needs_gcc
+def test_a_base_without_an_arm_has_the_bits_of_the_stepper(tmp_path):
+    (tmp_path / "bare.urdf").write_text(Drive().urdf(""))
+    limits = ("--set", "safety.torque=[10.0, 10.0]")
+    told = embedded(tmp_path / "c", "pd", "--robot", str(tmp_path / "bare.urdf"), "--steps", str(STEPS), *limits)
+    assert told["selftest_steps"] == STEPS
 
 
 @needs_gcc

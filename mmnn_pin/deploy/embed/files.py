@@ -327,7 +327,7 @@ def bare_files_of(export: Export) -> dict[str, str]:
         ),
         "tuning.c": render("tuning.c", export, carried=carried_row(export)),
         "robot_law.h": render("robot_law", export, is_header=True, tables="\n".join(
-            f"extern const {program.c_type(t.kind)} law_{t.name}[{t.data.size}];" for t in every
+            f"extern const {program.c_type(t.kind)} law_{t.name}[{room(t)}];" for t in every
         )),
         "robot_law.c": render(
             "robot_law", export, is_header=False, tables="\n\n".join(table(program, t) for t in every)
@@ -356,9 +356,9 @@ def render(template: str, export: Export, **values: Any) -> str:
 def table(program: CProgram, root: Root) -> str:
     """The definition of a constant table."""
     kind = program.c_type(root.kind)
-    body = numbers(root.data, root.kind, program.real != "double")
+    body = numbers(root.data if root.data.size else np.zeros(1), root.kind, program.real != "double")
     about = f"/* {root.about} */\n" if root.about else ""
-    return f"{about}const {kind} law_{root.name}[{root.data.size}] = {{\n{body}\n}};"
+    return f"{about}const {kind} law_{root.name}[{room(root)}] = {{\n{body}\n}};"
 
 
 def starts(export: Export) -> list[Root]:
@@ -372,7 +372,7 @@ def starts(export: Export) -> list[Root]:
 
 
 def room(member: Root) -> int:
-    """Numbers that a member takes in the struct: C has no empty arrays."""
+    """Numbers that a member takes in the struct, or a table: C has no empty arrays."""
     return max(member.data.size, 1)
 
 
