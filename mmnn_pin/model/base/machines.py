@@ -93,7 +93,7 @@ def belt_signs(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Sign]:
     elif named := track_named(rest):
         yield Sign(named, 2.5 if TRACKED_NAMES.search(named) else 1.0)
     size, bottom = (max(2.0 * c.radius for c in wheels), min(c.bottom for c in wheels)) if wheels else (0.0, 0.0)
-    if rest.is_footprint and bottom > size:
+    if rest.is_footprint and len(wheels) == 2 and bottom > size:  # drums; more wheels tell of a misplaced root
         text = f"they end {bottom:.3g} m above the root link '{rest.document.root_link}', which stands for the floor"
         yield Sign(text, 1.0)
 
