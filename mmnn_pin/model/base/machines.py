@@ -2,7 +2,7 @@
 
 A leg is a chain of joints from the root's body down to the lowest place of the robot, with no other support under the
 root; two or more make a legged machine, two with arms above them or under a waist a humanoid. A drone has rotors: three
-or more equal bodies that turn, or are welded, about vertical axes around its middle. Where a machine hides its rotors
+or more equal bodies that turn about vertical axes around its middle. Where a machine hides its rotors
 in a mesh only its names are left; they make the loader refuse or ask, never accept.
 """
 
@@ -15,12 +15,11 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from lxml import etree
 
-from ...elementary import hypot
 from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .report import blind_fix, undecided, unsupported
-from .wheels import LOW, MOST_PER_SIDE, Candidate, blind_beside, height_at
+from .report import unsupported
+from .wheels import LOW, MOST_PER_SIDE, Candidate, height_at
 
 MESHES = "link/*/geometry/mesh"
 
@@ -50,9 +49,6 @@ def machine(rest: AtRest) -> tuple[str, str] | None:
         if len(feet) == 2 and any(len(chain(rest, j)) > 2 for j in above):
             return "humanoid", f"it stands on two legs ({names}) and has limbs above them"
         return "legged machine", f"it stands on {len(feet)} legs ({names})"
-    if feet := upright_along_y(rest):
-        names = ", ".join(f"'{joint.name}'" for joint in feet)
-        return "humanoid", f"with y up, it stands on two legs ({names}) and has limbs above them"
     if joints := steering_modules(rest):
         return SWERVE, f"{len(joints)} wheels, or their mounts, turn about vertical axes ({', '.join(joints)})"
     if names := propellers(rest):
@@ -107,11 +103,6 @@ def track_named(rest: AtRest, pattern: re.Pattern[str] = TRACK_NAMES) -> str:
     names = [*rest.document.links, *rest.document.joints, *("/".join(m.split("/")[-2:]) for m in meshes)]
     hit = next(filter(None, map(pattern.search, names)), None)
     return f"'{hit.string}' among its names" if hit else ""
-
-
-def belts_named(rest: AtRest) -> str:
-    """A name that tells that a machine without wheels runs on belts: an arm may stand on a track, not on a tank."""
-    return track_named(rest, TANK_NAMES)
 
 
 def welded_tracks(rest: AtRest) -> str:
@@ -185,21 +176,6 @@ def legs_of_a_waist(rest: AtRest) -> list[Joint]:
     return []
 
 
-def upright_along_y(rest: AtRest) -> list[Joint]:
-    """First joints of the two legs of a humanoid drawn with y up, as body models are; by frames only."""
-
-    def reach(joint: Joint) -> float:
-        own = float(rest.placements[joint.child][1, 3])
-        return min([own, *(reach(j) for j in rest.document.moving_children(joint.child))])
-
-    limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) > LEG_JOINTS]
-    drops = {j.name: float(rest.hub(j)[1]) - reach(j) for j in limbs}
-    longest = max(drops.values(), default=0.0)
-    feet = [j for j in limbs if drops[j.name] > (1 - SAME_HEIGHT) * longest > 0]
-    rest_of = [j for j in limbs if j not in feet and drops[j.name] < 0.5 * longest]
-    return feet if len(feet) == 2 and rest_of and len(limbs) == len(feet) + len(rest_of) else []
-
-
 def steering_modules(rest: AtRest) -> list[str]:
     """Names of low joints about vertical axes on which names say that wheels are, and nothing turns.
 
@@ -220,8 +196,6 @@ def rotors(rest: AtRest) -> Iterator[str]:
     document = rest.document
     turning = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_vertical(j)]
     turning = [j for j in turning if not document.moving_children(j.child)]
-    if len(turning) < ROTORS:
-        turning = [j for j in document.joints.values() if not j.moves and is_propeller(rest, j)]
     if len(turning) < ROTORS or any(document.moving_children(j.child) for j in turning):
         return
     hubs = np.array([rest.hub(j) for j in turning])
@@ -230,13 +204,6 @@ def rotors(rest: AtRest) -> Iterator[str]:
     around = np.linalg.norm(hubs[:, :2].mean(axis=0)) < 0.3 * np.linalg.norm(hubs[:, :2], axis=1).max()
     if level and around and np.ptp(masses) <= 0.1 * masses.max():
         yield from (joint.name for joint in turning)
-
-
-def is_propeller(rest: AtRest, joint: Joint) -> bool:
-    """Whether a joint carries a flat upright cylinder beside the root's middle."""
-    flat = [s for s in rest.primitives[joint.child] if s.kind == "cylinder" and s.half[2] < 0.25 * s.radius]
-    beside = [s for s in flat if abs(s.pose[2, 2]) > 0.9 and hypot(*map(float, rest.hub(joint)[:2])) > 0.5 * s.radius]
-    return bool(beside)
 
 
 # -- wheels that steer --------------------------------------------------------------------------------------------
@@ -248,25 +215,10 @@ def plain(wheels: Sequence[Candidate]) -> list[Candidate]:
 
 
 def refuse_legs(rest: AtRest, wheels: list[Candidate]) -> None:
-    """Refuse wheels at the ends of legs, and casters beside which low joints cannot be measured.
-
-    Raises:
-        Unsupported: Two or more wheels hang on legs.
-        Undecided: What drives beside casters cannot be measured.
-    """
+    """Refuse two or more wheels at the ends of legs (`Unsupported`)."""
     legged = [c for c in wheels if c.mount == "leg"]
     if len(legged) >= 2:
         raise unsupported(rest, "legged machine", f"its wheels hang on legs: {in_texts(legged)}", legged)
-    if not plain(wheels):
-        require_measured(rest, wheels)
-
-
-def require_measured(rest: AtRest, wheels: list[Candidate]) -> None:
-    """Refuse casters beside which low joints cannot be measured (`Undecided`)."""
-    blind = blind_beside(rest, wheels)
-    if len(blind) >= 2:
-        why = "what would drive them cannot be measured"
-        raise undecided(rest, [*wheels, *blind], why, blind_fix(rest, blind))
 
 
 def in_texts(wheels: Sequence[Candidate]) -> str:

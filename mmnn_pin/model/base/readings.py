@@ -214,11 +214,6 @@ class Drives:
         yield from self.of_others(drives, others)
         yield from self.of_motors(kind, drives, others)
         yield from self.of_slaves(kind, drives)
-        balls = [c for c in drives if c.shape == "sphere"]
-        if 0 < len(balls) < sum(c in balls or c.shape != "sphere" for c in self.fixed):
-            yield about(balls, "balls, as casters are", -4.0 * len(balls))
-        if called := [c for c in drives if is_called_caster(c)]:
-            yield about(called, "called casters", -1.5 * len(called))
         if not all(alike(drives[0], c) for c in drives[1:]):
             yield Sign("the wheels that drive differ in size", -2.0 if kind == "differential_drive" else -4.0)
         meaning = TOLD_BY.get(kind)
@@ -227,7 +222,6 @@ class Drives:
             if cited:
                 more = f" and {len(cited) - 1} more" if len(cited) > 1 else ""
                 yield Sign(f"{cited[0].text}{more}", cited[0].weight, cited[0].line, cited[0].wheel)
-        belts = sum(sign.weight for sign in self.belts)
         level = all(parallel(drives[0], c) for c in drives[1:])
         if kind == "holonomic" and level and not any(p.meaning == "holonomic" for p in pieces):
             bare = self.drawn.issuperset(c.joint.name for c in drives)  # of such robots most have no rollers
@@ -241,8 +235,6 @@ class Drives:
             yield Sign("the wheels of a side do not stand in a row", -8.0)
         if kind == "tracked":
             yield from self.belts or [Sign("no belt is in the file", -5.0)]
-        elif kind == "holonomic" and belts > 0:
-            yield Sign("belts have no rollers", -3.0)
 
     def of_others(self, drives: Sequence[Candidate], others: Sequence[Candidate]) -> Iterator[Sign]:
         """Signs of wheels that are left out: they cannot swivel, and have to slide where the base turns."""

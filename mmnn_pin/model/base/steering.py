@@ -22,7 +22,7 @@ from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .evidence import RADII, stated
 from .heading import heading, left_first
-from .modules import ON_LINE, Module, Undercarriage, on_line
+from .modules import Module, Undercarriage, on_line
 from .overrides import Overrides
 from .placing import casters_of, in_order
 from .report import BaseResult, note, unsupported
@@ -425,26 +425,6 @@ def with_limits(
     return base, [note(rest, "base-limit", endless[0], text, "a robot has stops there", "--steering-limit RAD")]
 
 
-def virtual_joints(rest: AtRest, base: SteeredBase) -> list[str]:
-    """Joints of a bicycle model beside the wheels of a car: they turn in the middle of its axles, and carry nothing.
-
-    One is about the line of an axle, or between two pivots that steer, within a fraction of the wheelbase.
-    """
-    if base.sideways or not base.masters:
-        return []
-    hubs = [in_frame(base.frame, rest.hub(rest.document.joints[p.joint])) for p in base.pivots if p.parent < 0]
-    places = [(0.0, 0.0), *(((x, (y + v) / 2) for x, y in hubs for u, v in hubs if x == u or abs(x - u) < 1e-3))]
-    ends = [j for j in rest.document.moving_children(rest.document.root_link) if j.type != "prismatic"]
-    ends = [j for j in ends if j.name not in base.joints and not rest.document.moving_children(j.child)]
-    highest = max(float(rest.hub(rest.document.joints[w.joint])[2]) + 2 * w.radius for w in base.wheels)
-    low = [j for j in ends if rest.hub(j)[2] <= highest and (rest.is_vertical(j) or rest.is_horizontal(j))]
-    return [
-        j.name
-        for j in low
-        if min(math.dist(in_frame(base.frame, rest.hub(j)), at) for at in places) < ON_LINE * base.length
-    ]
-
-
 def standing(rest: AtRest, base: SteeredBase, candidates: Candidates) -> SteeredBase:
     """The base with what stands still of it: casters, what holds its wheels, rollers."""
     used = [c for c in candidates.wheels if c.joint.name in {w.joint for w in base.wheels}]
@@ -457,7 +437,7 @@ def standing(rest: AtRest, base: SteeredBase, candidates: Candidates) -> Steered
         base,
         casters=in_order(rest, others),
         suspensions=in_order(rest, above - moving),
-        parked=in_order(rest, [*virtual_joints(rest, base), *(name for c in candidates.wheels for name in c.rollers)]),
+        parked=in_order(rest, [name for c in candidates.wheels for name in c.rollers]),
     )
 
 

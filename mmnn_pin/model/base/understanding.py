@@ -34,7 +34,6 @@ from .machines import (
     PUSHED,
     SWERVE,
     belt_signs,
-    belts_named,
     machine,
     plain,
     propellers,
@@ -491,8 +490,6 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
     if why := track_named(rest) if not moving else welded_tracks(rest):
         why, more = (f"{why}, are welded on", "; --base fixed takes it as an arm") if moving else (why, "")
         raise unsupported(rest, "tracked machine", why, (), f"--base holonomic drives it by forces on its frame{more}")
-    if why := belts_named(rest):
-        raise undecided(rest, [], f"{why}: are its belts welded on", FORCES, ["tracked", "fixed"])
     if hit := OUTDOORS.search(f"{rest.document.root.get('name', '')} {rest.document.path.stem}"):
         why = f"it is called '{hit[0]}', and nothing in the file could be a wheel"
         raise undecided(rest, [], why, FORCES, ["skid_steer", "fixed"])
