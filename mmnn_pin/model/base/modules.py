@@ -166,14 +166,14 @@ def undercarriages(rest: AtRest, candidates: Candidates, overrides: Overrides) -
         Unsupported: A joint steers by its name, about a level axis, or hangs on one that turns without end about one.
     """
     wheels = [c for c in candidates.wheels if c.mount != "leg" and not math.isnan(c.radius)]
-    above = {c.joint.name: pivots_above(rest, c.joint, wheels) for c in wheels}
+    above = {c.joint.name: pivots_above(rest, c.joint) for c in wheels}
     fixed = [c for c in wheels if not above[c.joint.name]]
     groups = dict[str, list[Candidate]]()
     for c in wheels:
         if pivots := above[c.joint.name]:
             groups.setdefault(pivots[0].name, []).append(c)
     refuse_level(rest, [c for c in fixed if c.mount == "steering" or (groups and leaning(rest, c))])
-    modules = [Module(rest.document.joints[name], cs, carrier_of(rest, name, wheels)) for name, cs in groups.items()]
+    modules = [Module(rest.document.joints[name], cs, carrier_of(rest, name)) for name, cs in groups.items()]
     modules += without_spin(rest, candidates, modules, fixed, overrides) if fixed else []
     modules.sort(key=lambda m: len(rest.document.moving_ancestors(m.joint.child)))
     require_pivots(rest, modules, overrides)
@@ -284,22 +284,15 @@ def front_axle(front: Sequence[Candidate], fixed: Sequence[Candidate]) -> bool:
 # -- pivots ------------------------------------------------------------------------------------------------------------
 
 
-def pivots_above(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> list[Joint]:
-    """Joints about vertical axes that carry a wheel, from it up; a torso that carries the whole base is none."""
+def pivots_above(rest: AtRest, joint: Joint) -> list[Joint]:
+    """Joints about vertical axes that carry a wheel, from it up."""
     turning = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
-    upright = [j for j in turning if rest.is_vertical(j)]
-    return [j for j in upright if not (mostly_torso(rest, j, wheels))]
+    return [j for j in turning if rest.is_vertical(j)]
 
 
-def mostly_torso(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> bool:
-    """Whether a vertical joint carries all wheels, three or more of them by the rule of `wheels.hangs_on`."""
-    carried = [c for c in wheels if joint in rest.document.moving_ancestors(c.joint.child)[1:]]
-    return len(carried) == len(wheels) and any(c.mount == "" for c in carried)
-
-
-def carrier_of(rest: AtRest, name: str, wheels: Sequence[Candidate]) -> Joint | None:
+def carrier_of(rest: AtRest, name: str) -> Joint | None:
     """The pivot that carries a pivot."""
-    above = pivots_above(rest, rest.document.joints[name], wheels)
+    above = pivots_above(rest, rest.document.joints[name])
     return above[0] if above else None
 
 

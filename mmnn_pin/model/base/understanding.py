@@ -467,7 +467,7 @@ def drawn_plain(rest: AtRest, wheels: Sequence[Candidate]) -> frozenset[str]:
 def parked(rest: AtRest, wheels: list[Candidate]) -> Base:
     """A base that stands still whatever it has."""
     casters = tuple(c.joint.name for c in wheels if c.mount == "swivel")
-    pivots = [pivots_above(rest, c.joint, wheels)[:1] for c in wheels]
+    pivots = [pivots_above(rest, c.joint)[:1] for c in wheels]
     names = [name for c in wheels for name in (c.joint.name, *c.rollers)] + [j.name for up in pivots for j in up]
     return Fixed(parked=tuple(dict.fromkeys(name for name in names if name not in casters)), casters=casters)
 
