@@ -49,6 +49,9 @@ def machine(rest: AtRest) -> tuple[str, str] | None:
         if len(feet) == 2 and any(len(chain(rest, j)) > 2 for j in above):
             return "humanoid", f"it stands on two legs ({names}) and has limbs above them"
         return "legged machine", f"it stands on {len(feet)} legs ({names})"
+    if feet := upright_along_y(rest):
+        names = ", ".join(f"'{joint.name}'" for joint in feet)
+        return "humanoid", f"with y up, it stands on two legs ({names}) and has limbs above them"
     if joints := steering_modules(rest):
         return SWERVE, f"{len(joints)} wheels, or their mounts, turn about vertical axes ({', '.join(joints)})"
     if names := propellers(rest):
@@ -174,6 +177,21 @@ def legs_of_a_waist(rest: AtRest) -> list[Joint]:
         if len(feet) == 2:
             return feet
     return []
+
+
+def upright_along_y(rest: AtRest) -> list[Joint]:
+    """First joints of the two legs of a humanoid drawn with y up, as body models are; by frames only."""
+
+    def reach(joint: Joint) -> float:
+        own = float(rest.placements[joint.child][1, 3])
+        return min([own, *(reach(j) for j in rest.document.moving_children(joint.child))])
+
+    limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) > LEG_JOINTS]
+    drops = {j.name: float(rest.hub(j)[1]) - reach(j) for j in limbs}
+    longest = max(drops.values(), default=0.0)
+    feet = [j for j in limbs if drops[j.name] > (1 - SAME_HEIGHT) * longest > 0]
+    rest_of = [j for j in limbs if j not in feet and drops[j.name] < 0.5 * longest]
+    return feet if len(feet) == 2 and rest_of and len(limbs) == len(feet) + len(rest_of) else []
 
 
 def steering_modules(rest: AtRest) -> list[str]:
