@@ -23,7 +23,6 @@ from .settings import Action
 from .whole_body import PARTS, base_points, whole_motion
 
 AXES = {1: (0,), 2: (1,), 4: (0, 1), 5: (2,)}  # component of a `JointComponentTolerance` to parts of a pose
-ERASED = -1.0  # tolerance that takes the default away
 
 
 @dataclass
