@@ -219,7 +219,7 @@ def test_own_toml_and_own_folder(call: Call) -> None:
 def test_diverged_run_is_exit_code_1_and_says_where(call: Call) -> None:
     code, out, err = call("run", "chapter4", "--controller", "pd", *SHORT, "--set", "bounds.joint_speed=0.02")
     assert code == 1 and err == ""
-    assert "diverged" in out and "note: pd: nu[" in out
+    assert "diverged" in out and "note: pd: nu of " in out
     recording = Recording.open("runs/chapter4/pd.h5")
     assert recording.outcome.status == "diverged" and recording.outcome.signal.startswith("nu")
     assert 0 < recording.outcome.time < 0.02
