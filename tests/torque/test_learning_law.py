@@ -341,7 +341,7 @@ def test_failures_are_told_in_one_line(how: str, words: str) -> None:
 
 def test_numbers_that_are_none_end_the_run() -> None:
     run = loop_of("fixed", Wrong(feedback=feedback(robot_of_kind("fixed"), 0.002), how="nan")).run()
-    assert run.outcome.status == "diverged" and "psi_hat of v is not finite" in run.outcome.message
+    assert run.outcome.status == "diverged" and "psi_hat of joint_0 is not finite" in run.outcome.message
 
 
 def test_a_law_is_settings_and_nothing_else() -> None:
