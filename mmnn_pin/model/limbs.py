@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 from shlex import quote
 
 from ..elementary.matrices import length, product
@@ -35,6 +36,7 @@ WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign fo
     "nothing stands beside it on an arm, and it carries a joint": (0.0, -2.0, 0.0, 0.0, 0.0),
     "others stand beside it at the end of an arm": (0.0, 1.5, 0.0, 0.0, 0.0),
     "its like faces it": (-1.0, 2.5, -2.0, 0.0, 0.0),
+    "two that are alike end it": (0.0, -10.0, 0.0, 0.0, 0.0),
     "it slides by a few centimetres and carries no joint": (-1.0, 1.0, -1.0, 0.0, 0.0),
     "it slides": (0.0, 0.0, -3.0, 0.0, 0.0),
     "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0, 0.0),
@@ -273,6 +275,7 @@ class Limbs:
             "nothing stands beside it on an arm, and it carries a joint": on_arm and not beside and branch.row > 1,
             "others stand beside it at the end of an arm": len(above) >= WRIST and bool(beside),
             "its like faces it": any(self.faces(name, other.carried[0]) for other in beside),
+            "two that are alike end it": any(self.alike(*two) for two in combinations(branch.below, 2)),
             "it hangs on a rocker": not self.rockers.keys().isdisjoint(branch.above[:1]),
             "it is all at the height at which rockers turn": not above and self.level(branch),
             "it slides or spins at its end, beside a longer chain on an arm": on_arm and longer and free,
@@ -291,12 +294,16 @@ class Limbs:
         return turns and any(all(abs(height - pivot) < radius for height in heights) for pivot, radius in pivots)
 
     def faces(self, name: str, other: str) -> bool:
-        """Whether two short branches beside one another are of one type and size, about or along parallel axes."""
+        """Whether two short branches beside one another on a joint are alike."""
+        one = self.tree[name]
+        return self.alike(name, other) and one.reach < SHORT * self.longest and bool(one.above)
+
+    def alike(self, name: str, other: str) -> bool:
+        """Whether two branches are of one type and size, about or along parallel axes."""
         one, two, pair = self.tree[name], self.tree[other], (self.joint(name), self.joint(other))
-        alike = abs(one.reach - two.reach) <= ALIKE * max(one.reach, two.reach)
         parallel = abs(float(product(*map(self.rest.axis, pair)))) > ALONG
         slides = {joint.type == "prismatic" for joint in pair}
-        return alike and parallel and len(slides) == 1 and one.reach < SHORT * self.longest and bool(one.above)
+        return abs(one.reach - two.reach) <= ALIKE * max(one.reach, two.reach) and parallel and len(slides) == 1
 
     def of_motion(self, name: str) -> dict[str, bool]:
         """Whether there are the signs of its joint: type, axis and travel."""

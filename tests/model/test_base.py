@@ -7,6 +7,7 @@ wheel that touches the floor, which a roller lets go across its axis only.
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pinocchio as pin
@@ -263,6 +264,22 @@ def along_y(limbs) -> str:
     return f'<robot name="r">{text}</robot>'
 
 
+def stretched(ways) -> str:
+    """A body with level limbs of three joints that point so many ways [rad]."""
+    text, limit = link("base", 5.0), LIMIT.format(-1, 1)
+    for k, way in enumerate(ways):
+        parent, far = "base", 0.05
+        for part in "abc":
+            at = (far * math.cos(way), far * math.sin(way), 0.0)
+            child, parent, far = f"limb{k}{part}", parent, 0.1
+            text += link(child) + joint(f"{child}_joint", "revolute", parent, child, p=at, more=limit)
+            parent = child
+    return f'<robot name="r">{text}</robot>'
+
+
+CRAB = [k * math.pi / 3 for k in range(6)]
+
+
 def drone() -> str:
     text = link("frame", 1.5)
     for i, (x, y) in enumerate(itertools.product((-0.2, 0.2), repeat=2)):
@@ -280,6 +297,7 @@ UPPER = ARM + link("hand") + joint("wrist", "continuous", "fore", "hand", p=(0.3
     (legged([(0, 0.1), (0, -0.1)], UPPER), "humanoid"),
     (along_y({"left": -1, "right": -1, "spine": 1}), "humanoid"),
     (with_waist(2), "humanoid"),
+    (stretched(CRAB), "legged machine"),
     (drone(), "drone"),
     (f'<robot name="r">{link("quadrotor_base")}</robot>', "drone"),
     (f'<robot name="r">{link("base")}</robot>', "single rigid body"),
@@ -293,6 +311,11 @@ def test_machines_of_other_kinds_are_refused_by_name(text, name):
 @pytest.mark.parametrize("limbs", [{"left": -1, "right": 1}, {"left": -1, "right": -1}, {"arm": 1}])
 def test_arms_along_y_are_no_legs(limbs):
     assert robot_of(along_y(limbs)).base.kind == "fixed"
+
+
+@pytest.mark.parametrize("ways", [CRAB[:3], [-0.3, -0.1, 0.1, 0.3]])
+def test_few_limbs_and_fingers_that_point_one_way_are_no_legs(ways):
+    assert robot_of(stretched(ways)).base.kind == "fixed"
 
 
 def test_what_hangs_alone_on_a_waist_is_no_leg():

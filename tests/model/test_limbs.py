@@ -223,6 +223,19 @@ def test_what_turns_alone_on_a_base_stands_still_and_is_told_unless_an_arm_is_na
     assert robot_of(built.urdf(), base="fixed").joint_names == ("n0j",)
 
 
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_what_lifts_two_jaws_is_an_arm_though_it_is_called_a_gripper(kind):
+    text = link("claw") + joint("j0", kind, "base", "claw", more=LIMIT.format(0, 0.2))
+    for name, y in (("finger_left", 0.03), ("finger_right", -0.03)):
+        more = LIMIT.format(-0.1, 0.1)  # as far as it reaches: neither size nor travel tell
+        text += link(name) + joint(f"{name}_joint", "prismatic", "claw", name, p=(0.1, y, 0), axis=Y, more=more)
+        text += link(f"tip_{name}") + joint(f"tip_{name}", "fixed", name, f"tip_{name}", p=(0.2, 0, 0))
+    told = doubted(Drive().urdf(text))  # of its jaws, whose size and travel tell nothing
+    assert "'finger_left_joint', 'finger_right_joint' are each a jaw or part of the arm" in told.message
+    jaws = ("finger_left_joint", "finger_right_joint")
+    assert robot_of(Drive().urdf(text), lock=jaws).joint_names == ("j0",)
+
+
 # --- What files say ---------------------------------------------------------------------------------------------------
 
 GROUPS = {

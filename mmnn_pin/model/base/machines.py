@@ -1,20 +1,23 @@
 """Machines that are none of our bases, by their shape: legged, humanoid, drone, on tracks, or on wheels that steer.
 
 A leg is a chain of joints from the root's body down to the lowest place of the robot, with no other support under the
-root; two or more make a legged machine, two with arms above them or under a waist a humanoid. A drone has rotors: three
-or more equal bodies that turn about vertical axes around its middle. Where a machine hides its rotors
-in a mesh only its names are left; they make the loader refuse or ask, never accept.
+root; two or more make a legged machine, two with arms above them or under a waist a humanoid. Four or more that are
+alike and stretched out to all sides are legs at any height. A drone has rotors: three or more equal bodies that turn
+about vertical axes around its middle. Where a machine hides its rotors in a mesh only its names are left; they make the
+loader refuse or ask, never accept.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from lxml import etree
 
+from ...elementary.matrices import length
 from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
@@ -33,6 +36,7 @@ TRACK_NAMES = re.compile(
 TANK_NAMES = re.compile(r"(^|[_/ -])(tracked|crawlers?|caterpillars?|tank)([_./ -]|$)", re.IGNORECASE)
 TRACKED_NAMES = re.compile(r"tracked|crawler|caterpillar", re.IGNORECASE)  # of "tanks" some have plain wheels
 LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
+LEGS, SPREAD = 4, 0.5  # fewest legs that are stretched out; how alike they are, and how little they point one way
 SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
 SWERVE = "swerve drive"
 PUSHED = "--base holonomic drives it by forces on its frame, its wheels standing still"
@@ -43,7 +47,7 @@ DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|\buav|flying|(?<![a-z])p
 
 def machine(rest: AtRest) -> tuple[str, str] | None:
     """Name of the machine and what tells; None for what may stand on a table."""
-    if feet := legs(rest, trunk_joints(rest)) or legs_of_a_waist(rest):
+    if feet := legs(rest, trunk_joints(rest)) or legs_of_a_waist(rest) or legs_all_around(rest):
         names = ", ".join(f"'{joint.name}'" for joint in feet)
         above = [j for j in trunk_joints(rest) if j not in feet and len(chain(rest, j)) >= LEG_JOINTS]
         if len(feet) == 2 and any(len(chain(rest, j)) > 2 for j in above):
@@ -177,6 +181,19 @@ def legs_of_a_waist(rest: AtRest) -> list[Joint]:
         if len(feet) == 2:
             return feet
     return []
+
+
+def legs_all_around(rest: AtRest) -> list[Joint]:
+    """First joints of four legs or more that are drawn stretched out: alike, and to all sides, as no fingers are."""
+    chains = [chain(rest, j) for j in trunk_joints(rest)]
+    usual = Counter(map(len, chains)).most_common(1)
+    limbs = [c for c in chains if [len(c)] == [n for n, _ in usual] and len(c) >= LEG_JOINTS and not rolls(rest, c[-1])]
+    ways = [(rest.hub(joints[-1]) - rest.hub(joints[0]))[:2] for joints in limbs]
+    sizes = [length(way) for way in ways]
+    if len(limbs) < LEGS or min(sizes) <= SPREAD * max(sizes):
+        return []
+    mean = sum(way / size for way, size in zip(ways, sizes, strict=True)) / len(ways)
+    return [joints[0] for joints in limbs] if length(mean) < SPREAD else []
 
 
 def upright_along_y(rest: AtRest) -> list[Joint]:

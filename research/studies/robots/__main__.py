@@ -254,7 +254,8 @@ def wrong_lengths(entry: dict[str, Any], robot: Robot) -> list[str]:
     base, found = robot.base, list[str]()
     told = re.findall(r"([\d.]*\d) m\b", " ".join(f.message for f in robot.findings if f.code.startswith("base-")))
     at = [base.place(w)[1] if isinstance(base, SteeredBase) else w.y for w in base.wheels]
-    lengths = {"radius": [w.radius for w in base.wheels[:1]], "track": [base.track, max(at) - min(at)] if at else []}
+    meant = [w for w in base.wheels if w.joint in entry.get("wheels", ())] or base.wheels  # others may be smaller
+    lengths = {"radius": [w.radius for w in meant[:1]], "track": [base.track, max(at) - min(at)] if at else []}
     if isinstance(base, SteeredBase):
         lengths["wheelbase"] = [base.length]
         lengths["track"] = [] if base.axle and not base.track else lengths["track"]  # an axle's wheels may be one body
