@@ -454,3 +454,13 @@ def test_a_robot_without_any_friction_is_told_so_in_one_line(dynamics):
     assert [f.severity for f in found] == ["note"] * (not dynamics)
     assert len([note for note in check(robot, samples=2).notes if NO_FRICTION in note]) == (not dynamics)
     assert not found or ("--set friction.arm=0.1" in found[0].fix and "\n" not in str(found[0]))
+
+
+def test_a_ball_that_reaches_beneath_two_wheels_is_not_named_with_what_drives():
+    ball = link("ball_link", 0.1, 1e-4, SPHERE.format(r=0.025))
+    ball += joint("ball", "continuous", "base", "ball_link", p=(-0.3, 0, -0.05), axis=(1, 0, 0))
+    with pytest.raises(Undecided) as error:
+        robot_of(chassis(pair() + ball))
+    way = re.search(r"--wheels (\S+) --radius METRES", error.value.fix)[1]
+    robot = followed(chassis(pair() + ball), {"wheels": way, "radius": "0.1"})
+    assert {w.joint for w in robot.base.wheels} == {"left", "right"} == {*way.split(",")}

@@ -407,7 +407,9 @@ def in_words(axis: Array) -> str:
 
 
 def blind_fix(rest: AtRest, wheels: Sequence[Candidate]) -> str:
-    """The way out for wheels that cannot be measured."""
+    """The way out for wheels that cannot be measured; no ball drives beside two that are none."""
+    rolling = [c for c in wheels if c.shape != "sphere"]
+    wheels = rolling if len(rolling) > 1 else wheels
     names = ",".join(c.joint.name for c in left_first(rest, wheels))
     missing = any(c.shape == PARTIAL for c in wheels)
     first = "--package-dir FOLDER with the package of their meshes, or " if missing else ""
