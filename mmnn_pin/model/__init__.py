@@ -1,9 +1,5 @@
 """The robot: its file audited, its base and arm understood, its Pinocchio model with the motions left to it."""
 
-from .base.base import Base, Wheel
-from .base.report import Undecided
-from .loading import load
-from .robot import Robot
-from .robots import bundled
+import lazy_loader
 
-__all__ = ["Base", "Robot", "Undecided", "Wheel", "bundled", "load"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # the process of a xacro file needs none
