@@ -27,9 +27,9 @@ def printable(text: str, keep: str = "") -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() or c in keep else " " for c in text)
 
 
-def short(text: str) -> str:
-    """The text as a message repeats it: a file that is put in the place of a name would fill the screen."""
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+def short(text: str, most: int = LONGEST) -> str:
+    """The text as a message repeats it, in so many letters: a file in the place of a name would fill the screen."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 class MmnnError(Exception):

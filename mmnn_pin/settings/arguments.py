@@ -20,7 +20,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import msgspec
 import numpy as np
 
-from ..errors import ConfigError, MmnnError, UnknownArgument
+from ..errors import ConfigError, MmnnError, UnknownArgument, short
 
 KINDS = {
     "int": "a whole number",
@@ -323,4 +323,4 @@ def shortly(value: Any) -> str:
         text = str(value).lower() if type(value) is bool else " ".join(repr(value).split())
     except Exception:  # of its own
         text = object.__repr__(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return short(text, 60)

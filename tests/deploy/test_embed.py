@@ -680,7 +680,7 @@ def test_what_cannot_be_embedded_is_refused_in_one_line(tmp_path, capsys):
 def test_limits_are_asked_for_by_a_command_that_works(tmp_path, capsys):
     (tmp_path / "free.urdf").write_text(FREE)
     asked = ["track", "--controller", "pd", "--robot", str(tmp_path / "free.urdf"), "--out", str(tmp_path / "c")]
-    fix = shlex.split(refused(capsys, *asked, "--no-check").partition("place of 10, ")[2])
+    fix = shlex.split(refused(capsys, *asked, "--no-check").partition("for 10 in ")[2])
     assert fix[0] == "--set" and main(["embed", *asked, *fix, "--no-check"]) == 0
 
 

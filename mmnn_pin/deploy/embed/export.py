@@ -183,7 +183,7 @@ def require_limits(stepper: Fresh) -> None:
     if free:
         why = f"no effort limit of {', '.join(free)} is known"
         named = ", ".join(f"{limit:g}" if np.isfinite(limit) else "10" for limit in torque)
-        fix = f"state <limit effort=...>, or, with its own in the place of 10, --set 'safety.torque=[{named}]'"
+        fix = f"state <limit effort=...>, or put the motors' own limits for 10 in --set 'safety.torque=[{named}]'"
         raise ConfigError("motors that nothing limits", why=why, fix=fix, key="safety.torque")
 
 

@@ -1,8 +1,8 @@
 """Whether a learner is worse than plain control: the feedback and the gravity of the URDF, nothing learned.
 
-A learner that errs more than what it was added to, that spends many times its effort though that is not lost, or that
-shakes the motors is no gain, however it ranks among others. Judged are the errors by which a run is: of the base's
-place, of its heading, and of the arm, each by its RMS after the first fifth of a run.
+A learner is no gain, however it ranks among others, if it errs more than plain control, shakes the motors, or spends
+many times the effort of a plain control that is not lost: one that is lost spends less than the motion takes. The
+errors are of the base's place, of its heading, and of the arm, each by its RMS after the first fifth of a run.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ...recording.metrics import metrics
 from ...recording.recording import Recording, as_columns
 from ...torque.entries import CONTROLLERS
-from .outliers import FAR, LOST, fast_share
+from .outliers import FAR, fast_share, worst_loss
 
 YARDSTICKS = ("pd_gravity", "pd")  # plain controls, the first that ran counts
 SKIPPED = 0.2  # of a run, at its start
@@ -80,7 +81,7 @@ def compared(run: Recording, plain: Recording) -> list[str]:
             f"{worst} errs {times(ratios[worst])} as much ({ours[worst]:.2g} for {theirs[worst]:.2g} m or rad)"
         )
     effort, usual = (float(np.sum(as_columns(one["motor_torque"]) ** 2) / len(one)) for one in (run, plain))
-    if effort > SPENT * usual and not is_lost(plain):  # which spends less than the motion takes
+    if effort > SPENT * usual and not worst_loss(plain, metrics(plain, ())):
         reasons.append(f"its effort is {times(effort / max(usual, 1e-12))} as large")
     motors = run.labels("motor_torque")
     shaken, calm = shaking(run), shaking(plain)
@@ -89,12 +90,6 @@ def compared(run: Recording, plain: Recording) -> list[str]:
     if far.size and far.max() > FAR:
         reasons.append(f"it shakes {motors[int(far.argmax())]}, {times(float(far.max()))} as much")
     return reasons
-
-
-def is_lost(run: Recording) -> bool:
-    """Whether the base's place or a joint errs by `LOST` or more at some time."""
-    parts = [PARTS[part] for part in ("the base's place", "the arm")]
-    return any(np.abs(as_columns(run[s])[:, c]).max(initial=0.0) >= LOST for s, c in parts if s in run)
 
 
 def errors_of(run: Recording) -> dict[str, float]:

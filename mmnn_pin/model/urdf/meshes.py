@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 from lxml import etree
 
-from ...errors import printable
+from ...errors import printable, short
 from ...signals import Array
 from .document import read_numbers
 
@@ -49,8 +49,7 @@ class BrokenMesh(Exception):
     """A mesh file that cannot be shown; the text says why, in at most `MOST_TEXT` letters of one line."""
 
     def __init__(self, why: str) -> None:
-        text = " ".join(printable(why).split())
-        super().__init__(text if len(text) <= MOST_TEXT else f"{text[:MOST_TEXT]}...")
+        super().__init__(short(" ".join(printable(why).split()), MOST_TEXT))
 
 
 @lru_cache(maxsize=16)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,12 +71,10 @@ def headline(result: Result) -> str:
         return f"{who} is lost: {where}{too_weak(result, judged[0])}."
     if len(judged) < 2:
         return alone(result, next(iter([*judged, *result.recordings])))
-    best, small = judged[0], [name for name in judged if worst_rms(result, name) < UNSEEN]
-    alike = [name for name in judged if 1 - scores[best] / scores[name] < ALIKE]
-    if best in small:  # none of these can be told from another on a robot
-        alike = judged[: max(len(alike), next((i for i, name in enumerate(judged) if name not in small), len(judged)))]
+    best, small = judged[0], {name for name in judged if worst_rms(result, name) < UNSEEN}
+    alike = [*takewhile(lambda name: 1 - scores[best] / scores[name] < ALIKE or {best, name} <= small, judged)]
     who = best if len(alike) == 1 else f"{listed(alike)} track alike"
-    if alike == judged and small == judged:
+    if alike == judged and small == {*judged}:
         return f"{who}: in {when(result)} none of their RMS errors reaches a micrometre or microradian."
     if alike == judged:
         return f"{who}: in {when(result)} their RMS errors are on average within {100 * ALIKE:g} % of one another."
