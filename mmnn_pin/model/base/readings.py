@@ -19,7 +19,8 @@ from ..signs import MARGIN, Sign, told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .evidence import Evidence
-from .report import BaseReading, BaseResult, blind_fix, note, undecided
+from .modules import NAMES
+from .report import BaseReading, BaseResult, note, undecided, unmeasured
 from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, across, coaxial, on_either_side, one_axle, parallel
 
 NO_BASE = -4.0  # score of the reading that these wheels make no base
@@ -28,7 +29,7 @@ LARGE = 0.13  # [m] radius beyond which few wheels have rollers: 1 of 14 on publ
 SMALL = 0.6  # of the radius of wheels that drive: pairs of smaller ones stand in for casters
 IN_ROW = 0.2  # wheels of a side may differ in place by this fraction of the width
 ALIKE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
-CASTER, ROLLING = ("caster", "castor", "roulette", "lenkrolle", "rueda_loca"), ("skid_steer", "tracked")
+ROLLING = ("skid_steer", "tracked")
 TOLD_BY = {"skid_steer": "skid_steer", "tracked": "skid_steer", "holonomic": "holonomic"}  # meaning of evidence
 PARKED = "--base fixed parks it"
 FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed to park it"
@@ -111,9 +112,7 @@ class Question:
         """The question whether a reading is meant though much speaks against it."""
         listed = [best, *others][:4]
         if self.blind:
-            why = "what turns on some of them cannot be measured, or does not reach the floor"
-            everything = [*self.wheels, *self.blind]
-            return undecided(self.rest, everything, why, blind_fix(self.rest, everything), listed)
+            return unmeasured(self.rest, [*self.wheels, *self.blind], listed)
         against = [sign.text for sign in best.signs if sign.weight < 0]
         ways = [f"{best.options} {when(best, [best])}"] if self.leads_on(best) else []
         if any("<mimic>" in text for text in against):
@@ -254,7 +253,7 @@ class Drives:
             else:
                 why, weight = "wheels that cannot swivel and would have to slide", -2.5
             groups.setdefault((why, weight), []).append(c)
-            if is_called_caster(c):
+            if NAMES["called casters"].search(f"{c.joint.name} {c.joint.child}"):
                 groups.setdefault(("called casters", 1.5), []).append(c)
         for (why, weight), some in groups.items():
             yield about(some, why, weight * len(some))
@@ -296,11 +295,6 @@ def about(wheels: Sequence[Candidate], what: str, weight: float) -> Sign:
 def alike(a: Candidate, b: Candidate) -> bool:
     """Whether two wheels are of one size, as far as that is known."""
     return not abs(a.radius - b.radius) > ALIKE * b.radius
-
-
-def is_called_caster(c: Candidate) -> bool:
-    """Whether names call a wheel a caster."""
-    return any(word in f"{c.joint.name} {c.joint.child}".lower() for word in CASTER)
 
 
 def in_rows(drives: Sequence[Candidate]) -> bool:

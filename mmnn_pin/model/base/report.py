@@ -420,6 +420,12 @@ def blind_fix(rest: AtRest, wheels: Sequence[Candidate]) -> str:
     return f"{first}--wheels {names} --radius METRES{which}{drive}; --base fixed parks them"
 
 
+def unmeasured(rest: AtRest, wheels: Sequence[Candidate], could: Sequence[BaseReading] = ()) -> Undecided:
+    """The error where wheels of some cannot be measured; arguments as of `undecided`."""
+    why = "what turns on some of them cannot be measured, or does not reach the floor"
+    return undecided(rest, wheels, why, blind_fix(rest, wheels), could)
+
+
 def unsupported(rest: AtRest, name: str, why: str, wheels: Sequence[Candidate] = (), fix: str = "") -> Unsupported:
     """The refusal of a machine by what is seen of it, and what that may be."""
     drives = ", ".join(kind.words for kind in KINDS.values())

@@ -34,14 +34,6 @@ class SteeredBase(Base):
 
     pivots: tuple[Pivot, ...] = ()  # its pivots, a carrier before what it carries
     length: float = 1.0  # wheelbase, or radius of gyration of the wheels that steer, l of `rolling` [m]
-    # largest speed at which a wheel slides sideways per speed of the base, of what its file says; 0 where all roll
-    # exactly
-    scrub: float = 0.0
-
-    @property
-    def axle(self) -> bool:
-        """Whether an axle stands at the control frame that nothing steers."""
-        return not self.sideways
 
     @property
     def masters(self) -> list[int]:
@@ -104,7 +96,7 @@ class SteeredBase(Base):
             carriers=np.array([(w.pivot, places[w.joint]) for w in self.wheels], np.int64).reshape(-1, 2),
             wheels=np.array(wheels, float).reshape(-1, 5),
             body=self.body,
-            axle=self.axle,
+            axle=not self.sideways,
             length=float(self.length),
             root=np.ascontiguousarray(np.linalg.inv(self.to_control)),
         )
@@ -112,7 +104,7 @@ class SteeredBase(Base):
     def stops(self) -> list[tuple[float, float]]:
         """Ends of its pivots; a master's are where its followers reach theirs, if they do first [rad]."""
         found = [(p.lower, p.upper) for p in self.pivots]
-        if self.axle and any(p.role == ROLES[FOLLOWER] for p in self.pivots):
+        if not self.sideways and any(p.role == ROLES[FOLLOWER] for p in self.pivots):
             curves = [0.0, *(bend for bend in bends(self.pivots) if math.isfinite(bend))]
             straight, *turned = (self.angles(np.array([1.0, bend])) for bend in curves)
             for k in self.masters:

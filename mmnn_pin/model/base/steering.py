@@ -18,9 +18,8 @@ from ...errors import UnknownName
 from ...signals import Array
 from ..urdf.document import Joint
 from ..urdf.finding import Finding
-from ..urdf.shapes import AtRest
+from ..urdf.shapes import AtRest, rotation
 from .base import Base, Wheel
-from .evidence import RADII, stated
 from .heading import heading, left_first
 from .modules import Module, Undercarriage, on_line
 from .overrides import Overrides
@@ -41,8 +40,6 @@ from .wheels import HUB, Candidate, Candidates, coaxial, rolling
 
 SIDEWAYS = 5e-4  # speed across a wheel per speed of the base that is told
 SAMPLES = 6  # of angles at which it is looked for
-OPINION = 0.02  # a wheelbase that differs by more than this fraction is told
-WHEELBASES = {"wheelbase": 1.0, "wheel_base": 1.0, "wheelBase": 1.0}
 MIDDLE = 0.1  # a wheel that steers within this fraction of the wheelbase of the fixed axle steers nothing
 ONE_BODY = "write one vehicle in a file, or --base holonomic drives it by forces on its frame"
 STILL = "--base holonomic drives it by forces on its frame, its wheels standing still; --base fixed parks it"
@@ -145,7 +142,9 @@ def on_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Steered
         ConfigError: The user says that it is another kind.
     """
     fixed, steered = under.fixed, under.of("steered", "waist")
-    frame = frame_at(np.mean([c.centre for c in fixed], axis=0), facing(rest, under, overrides))
+    ahead, behind = ([rest.hub(m.joint)[:2] for m in under.of(role)] for role in ("steered", "hitch"))
+    forward = heading(rest, fixed, overrides, ahead, behind).forward
+    frame = frame_at(np.mean([c.centre for c in fixed], axis=0), forward)
     steered = sorted(steered, key=lambda m: order(frame, rest, m))
     master = first_master(steered, under.motors)
     loader = master.role == "waist"
@@ -162,12 +161,6 @@ def on_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Steered
         pivots = [replace(p, x=p.x * overrides.wheelbase / wheelbase) for p in pivots]
         wheelbase = overrides.wheelbase
     return kind(pivots=tuple(pivots), frame=frame, length=wheelbase)
-
-
-def facing(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Array:
-    """(2,) forward of a base on a fixed axle; errors as of `heading`."""
-    steered, towed = ([rest.hub(m.joint)[:2] for m in under.of(role)] for role in ("steered", "hitch"))
-    return heading(rest, under.fixed, overrides, steered, towed).forward
 
 
 def ahead_of(pivot: Pivot) -> float:
@@ -290,7 +283,7 @@ def rate_of(rest: AtRest, joint: Joint) -> float:
     return stated_rate if stated_rate > 0 else math.inf
 
 
-def placed_wheels(rest: AtRest, frame: Array, wheels: Sequence[Candidate], pivot: int, **more: bool) -> list[Wheel]:
+def placed_wheels(frame: Array, wheels: Sequence[Candidate], pivot: int, **more: bool) -> list[Wheel]:
     """Wheels with joints in the frame of what carries them, left before right."""
     at = [(placed(frame, c), c) for c in wheels]
     at.sort(key=lambda pair: (-round(pair[0][0], 6), -pair[0][1]))
@@ -311,11 +304,11 @@ def finished(
     stated_radii = overrides.radius_of
     rolls = [*under.fixed, *own_wheels]
     resized = {c.joint.name: stated_radii.get(c.joint.name, overrides.radius or c.radius) for c in rolls}
-    wheels = placed_wheels(rest, base.frame, under.fixed, -1)
+    wheels = placed_wheels(base.frame, under.fixed, -1)
     if overrides.track is not None and (width := np.ptp([w.y for w in wheels])) > 0:
         wheels = [replace(w, y=w.y * overrides.track / float(width)) for w in wheels]
     for k, m in enumerate(own):
-        wheels += placed_wheels(rest, frame_on(rest, m.joint, float(base.frame[2])), m.wheels, k) if m.spins else []
+        wheels += placed_wheels(frame_on(rest, m.joint, float(base.frame[2])), m.wheels, k) if m.spins else []
     wheels = [replace(w, radius=resized[w.joint]) for w in wheels]
     wheels, driving = with_motors(rest, wheels, under, overrides)
     track = float(np.ptp([w.y for w in wheels if w.pivot < 0])) if len(under.fixed) > 1 else 0.0
@@ -323,7 +316,6 @@ def finished(
     base = replace(base, wheels=tuple(wheels), track=track, floor=float(np.mean(bottoms)))
     base, trailing = with_trailers(rest, base, under)
     base = standing(rest, base, candidates)
-    base = replace(base, scrub=scrub_of(rest, base, under))
     notes = [
         steered_note(rest, base),
         *findings,
@@ -332,7 +324,7 @@ def finished(
         *spinless_note(rest, own),
         *linkage_note(rest, base, own),
     ]
-    return BaseResult(base, (*notes, *scrub_note(rest, base), *stated_notes(rest, base, overrides)))
+    return BaseResult(base, (*notes, *scrub_note(rest, base, under)))
 
 
 def with_trailers(rest: AtRest, base: Base, under: Undercarriage) -> tuple[SteeredBase, list[Finding]]:
@@ -355,7 +347,7 @@ def with_trailers(rest: AtRest, base: Base, under: Undercarriage) -> tuple[Steer
         pivot = placed_pivot(rest, at, m, ROLES[PASSIVE], under)
         pivots.append(replace(pivot, parent=numbers.get(carrier, -1), motor=False))
         alone = on_line(m.wheels)
-        wheels += placed_wheels(rest, frames[m.joint.name], m.wheels, len(pivots) - 1, driven=False, grips=alone)
+        wheels += placed_wheels(frames[m.joint.name], m.wheels, len(pivots) - 1, driven=False, grips=alone)
         if not alone:
             text = f"the trailer on '{m.joint.name}' has several axles, which scrub about their middle"
             why = f"it is taken as on one, {abs(pivot.wheel[0]):.3g} m from the hitch"
@@ -372,8 +364,7 @@ def with_trailers(rest: AtRest, base: Base, under: Undercarriage) -> tuple[Steer
 def behind_drive(rest: AtRest, result: BaseResult, under: Undercarriage) -> BaseResult:
     """A differential or skid-steer drive with the trailers behind it."""
     base, findings = with_trailers(rest, result.base, under)
-    base = replace(base, scrub=scrub_of(rest, base, under))
-    return BaseResult(base, (*result.findings, steered_note(rest, base), *findings, *scrub_note(rest, base)))
+    return BaseResult(base, (*result.findings, steered_note(rest, base), *findings, *scrub_note(rest, base, under)))
 
 
 def with_motors(
@@ -476,7 +467,7 @@ def linkage_note(rest: AtRest, base: SteeredBase, own: Sequence[Module]) -> list
 
 
 def scrub_of(rest: AtRest, base: SteeredBase, under: Undercarriage) -> float:
-    """Largest speed across a wheel per speed of the base, over some angles within the stops; 0 where it is no matter.
+    """Largest speed across a wheel per speed of the base, over some angles within the stops.
 
     A follower is steered as if its pivot were upright beside its wheel; here pivots and axles are as the file has them.
     """
@@ -487,29 +478,26 @@ def scrub_of(rest: AtRest, base: SteeredBase, under: Undercarriage) -> float:
     rolls, rng, worst = base.rolling_at(places), np.random.default_rng(0), 0.0
     nu = np.array([1.0] + [0.0] * (len(base.velocity_names) - 1))
     wheels = {c.joint.name: c for c in (*under.fixed, *(c for m in under.modules for c in m.wheels))}
+    passive = {k for k, p in enumerate(base.pivots) if p.role == ROLES[PASSIVE]}  # they turn while the steering stands
+    held = [w for w in base.wheels if w.grips and w.joint in wheels and w.pivot not in passive]
     for _ in range(SAMPLES):
         position = np.zeros(3 + len(joints))
         for p in base.pivots:
             position[places[p.joint]] = rng.uniform(max(p.lower, -0.5), min(p.upper, 0.5))
         maps = new_maps(rolls, np.zeros((3 + len(joints), nu.size)))
         roll(rolls, closed(rolls, position), nu, maps)
-        for w in (w for w in base.wheels if w.grips and w.joint in wheels and on_the_spot(base, w)):
+        for w in held:
             pivot = rest.document.joints[base.pivots[w.pivot].joint] if w.pivot >= 0 else None
             angle = position[places[pivot.name]] if pivot is not None else 0.0
             worst = max(worst, sliding(rest, base, wheels[w.joint], pivot, angle, maps.V[0, :, 0]))
-    return worst if worst > SIDEWAYS else 0.0
-
-
-def on_the_spot(base: SteeredBase, wheel: Wheel) -> bool:
-    """Whether a wheel is on the body or on a pivot of it that stands still while the steering does."""
-    return wheel.pivot < 0 or base.pivots[wheel.pivot].role != ROLES[PASSIVE]
+    return worst
 
 
 def sliding(rest: AtRest, base: Base, c: Candidate, pivot: Joint | None, angle: float, eta: Array) -> float:
     """Speed of a wheel along its own axle, at an angle of its pivot and a velocity (3,) of the control frame [m/s]."""
     centre, axle = c.centre, c.axis
     if pivot is not None:
-        turned = rotation(rest.axis(pivot), angle - pivot.rest)
+        turned = rotation(rest.axis(pivot), angle - pivot.rest)[:3, :3]
         centre = rest.hub(pivot) + product(turned, centre - rest.hub(pivot))
         axle = product(turned, axle)
     ahead, left, w = (float(value) for value in eta)
@@ -520,32 +508,11 @@ def sliding(rest: AtRest, base: Base, c: Candidate, pivot: Joint | None, angle: 
     return abs(across[0] * (ahead - y * w) + across[1] * (left + x * w)) / size
 
 
-def rotation(axis: Array, angle: float) -> Array:
-    """(3, 3) rotation about an axis."""
-    (c, s), (x, y, z) = cos_sin(angle), axis
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + s * skew + (1.0 - c) * product(skew, skew)
-
-
-def scrub_note(rest: AtRest, base: SteeredBase) -> list[Finding]:
+def scrub_note(rest: AtRest, base: SteeredBase, under: Undercarriage) -> list[Finding]:
     """A warning about wheels that slide sideways as they stand in the file."""
-    if not base.scrub:
+    if (scrub := scrub_of(rest, base, under)) <= SIDEWAYS:
         return []
-    text = f"wheels slide sideways by up to {base.scrub:.2g} m per metre driven"
+    text = f"wheels slide sideways by up to {scrub:.2g} m per metre driven"
     why = "their pivots lean, or are not beside them"
     fix = "mend the <origin> of the wheels if that is a slip"
     return [note(rest, "base-scrub", base.pivots[0].joint, text, why, fix)]
-
-
-def stated_notes(rest: AtRest, base: SteeredBase, overrides: Overrides) -> list[Finding]:
-    """Warnings where a plugin or a controller states another wheelbase or radius than the geometry."""
-    measured = {"wheelbase": [base.length] if not base.sideways and base.masters else []}
-    measured["radius"] = [w.radius for w in base.wheels]
-    findings = list[Finding]()
-    for name, names in (("wheelbase", WHEELBASES), ("radius", RADII)):
-        for length in stated(rest, overrides.controllers_file, names) if getattr(overrides, name) is None else ():
-            if measured[name] and all(abs(length.value / used - 1) > OPINION for used in measured[name]):
-                text = f"{length.text} states a {name} of {length.value:.4g} m, its geometry {measured[name][0]:.4g} m"
-                fix = f"--{name} {length.value:.6g}"
-                findings.append(note(rest, "base-stated", base.shape[0], text, "taken is the geometry", fix))
-    return findings

@@ -35,9 +35,7 @@ from .machines import (
     SWERVE,
     belt_signs,
     machine,
-    plain,
     propellers,
-    refuse_legs,
     steering_named,
     track_named,
     welded_tracks,
@@ -67,6 +65,7 @@ from .report import (
     not_on_floor,
     note,
     undecided,
+    unmeasured,
     unsupported,
     weld_notes,
 )
@@ -333,7 +332,9 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides, asks: boo
     require_sound_wheels(rest, candidates, overrides)
     if not candidates.wheels:
         return without_wheels(rest, overrides, candidates.floor)
-    refuse_legs(rest, candidates.wheels)
+    if len(legged := [c for c in candidates.wheels if c.mount == "leg"]) >= 2:
+        why = f"its wheels hang on legs: {'; '.join(c.text for c in legged)}"
+        raise unsupported(rest, "legged machine", why, legged)
     if overrides.base == "holonomic" and any(c.mount == "steering" for c in candidates.wheels):
         return pushed(rest, candidates, overrides)
     found = list(base_readings(rest, candidates, overrides))
@@ -362,9 +363,10 @@ def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) ->
         if under.steers:
             found.append(steered_reading(rest, candidates, under, overrides))
             continue
-        own = under.without_trailers(candidates)
-        said = under.said(overrides) if under.of("hitch") else overrides
-        for reading in drive_readings(rest, under.fixed, own.wheels, said):
+        trailing = {c.joint.name for m in under.of("hitch") for c in m.wheels}
+        own = [c for c in candidates.wheels if c.joint.name not in trailing]
+        said = msgspec.structs.replace(overrides, base=None, hitch=None) if trailing else overrides
+        for reading in drive_readings(rest, under.fixed, own, said):
             found.append(with_modules(rest, reading, under))
     for reading in found:
         alone = overrides.base in CARS and reading.kind in CARS  # one steered wheel, or a bicycle model of two
@@ -439,11 +441,15 @@ def require_sound_wheels(rest: AtRest, candidates: Candidates, overrides: Overri
         raise not_on_floor(rest, candidates, overrides.package_dirs)
 
 
+def plain(wheels: Sequence[Candidate]) -> list[Candidate]:
+    """Wheels that hang on nothing that turns."""
+    return [c for c in wheels if c.mount == ""]
+
+
 def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> Undecided:
     """The error for wheels that make no base by themselves, with the options that would."""
     if blind := blind_beside(rest, wheels):
-        why = "what turns on some of them cannot be measured, or does not reach the floor"
-        return undecided(rest, [*wheels, *blind], why, blind_fix(rest, [*wheels, *blind]))
+        return unmeasured(rest, [*wheels, *blind])
     why, ways = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls", []
     if len(drives) == 2:
         near = coaxial(*drives, within=SLOPPY)

@@ -258,7 +258,8 @@ def wrong_lengths(entry: dict[str, Any], robot: Robot) -> list[str]:
     lengths = {"radius": [w.radius for w in meant[:1]], "track": [base.track, max(at) - min(at)] if at else []}
     if isinstance(base, SteeredBase):
         lengths["wheelbase"] = [base.length]
-        lengths["track"] = [] if base.axle and not base.track else lengths["track"]  # an axle's wheels may be one body
+        if not base.sideways and not base.track:  # an axle's wheels may be one body
+            lengths["track"] = []
     for name, values in lengths.items():
         if name not in entry or not values or any(abs(float(text) / entry[name] - 1) < NAMED for text in told):
             continue
