@@ -313,10 +313,7 @@ def refuse_level(rest: AtRest, steered: Sequence[Candidate]) -> None:
 
 
 def without_spin(rest: AtRest, candidates: Candidates, known: Sequence[Module], overrides: Overrides) -> list[Module]:
-    """Pivots with wheels that have no joint to spin about: a cylinder lies on the floor; a stop or a motor steers it.
-
-    What such pivots follow (<mimic>) without having a wheel is one itself: the virtual wheel of a bicycle model.
-    """
+    """Pivots whose wheels have no joint to spin about: a cylinder is on the floor, and a stop or a motor steers it."""
     said, motors, found = overrides.steer or (), motors_named(rest), dict[str, Module]()
     taken, floor = {m.joint.name for m in known}, min(c.bottom for c in candidates.wheels)
     for joint in rest.document.joints.values():
@@ -330,12 +327,6 @@ def without_spin(rest: AtRest, candidates: Candidates, known: Sequence[Module], 
             refuse_rolled(rest, joint)
             wheel = Candidate(joint, s.pose[:3, 2], s.pose[:3, 3], s.radius, "cylinder", "steering", 0.0)
             found[joint.name] = Module(joint, [wheel], spins=False)
-    virtual = {m.joint.mimics: m for m in found.values() if m.joint.mimics in rest.document.joints}
-    for name, m in virtual.items():
-        if name not in found and name not in taken:
-            joint = rest.document.joints[str(name)]
-            at = np.array([*rest.hub(joint)[:2], m.wheels[0].centre[2]])
-            found[str(name)] = Module(joint, [replace(m.wheels[0], joint=joint, centre=at)], spins=False)
     return [m for m in found.values() if m.joint.mimics not in found]
 
 

@@ -1,8 +1,8 @@
 """Readings of a base: what its wheels and pivots may be, the signs for each and against, and the one that is borne out.
 
 A reading gives every wheel and every pivot a role, all together; its score is the sum of its signs (`model.signs`).
-The best is taken where it beats the next by `MARGIN`. Else the loader asks, and prints the options that lead to the
-readings in question, each tried before it is printed. That these wheels make no base is a reading, too: `NO_BASE`.
+The best is taken where it beats the next by `MARGIN`. Else the loader asks, with the options that lead to the readings
+in question, each tried before it is printed (`understanding`). That these wheels make no base is one, too: `NO_BASE`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError
 from ..signs import MARGIN, Sign, told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
@@ -55,8 +54,6 @@ class Question:
 
     rest: AtRest  # the robot at rest
     wheels: Sequence[Candidate]  # what was found
-    # what becomes of the robot if a user says something more; None where that is what is tried
-    attempt: Callable[[Mapping[str, Any]], BaseResult] | None
     blind: Sequence[Candidate] = ()  # what may be wheels, too, and cannot be measured
     sure: bool = False  # whether the user says that one of the readings is right
 
@@ -69,22 +66,14 @@ class Question:
         """
         ordered = sorted(readings, key=lambda reading: -reading.score)
         best, others = ordered[0], ordered[1:]
-        near = [reading for reading in others if best.score - reading.score < MARGIN]
+        rivals = [reading for reading in others if best.score - reading.score < MARGIN]
         doubtful = best.score - NO_BASE < MARGIN and not self.sure
-        rivals = near if self.attempt is None else [reading for reading in near if self.leads_on(reading)]
         if rivals:
             raise self.which([best, *rivals], [reading for reading in others if reading not in rivals])
         if doubtful:
             raise self.whether(best, others)
         found = best.build()
         return replace(found, findings=(*reading_note(self.rest, best, others), *found.findings))
-
-    def leads_on(self, reading: Proposal) -> bool:
-        """Whether its options lead to a reading: only then they are printed."""
-        try:
-            return self.attempt is not None and self.attempt(reading.said).base.kind == reading.kind
-        except InputError:
-            return False
 
     def which(self, rivals: Sequence[Proposal], others: Sequence[Proposal]) -> Exception:
         """The question which of some readings is meant."""
@@ -94,19 +83,10 @@ class Question:
         why = f"nothing in the file tells {' from '.join(kinds)}"
         if texts:
             why = f"the signs do not tell which: {'; '.join(texts)}"
-        ways = [f"{r.options} {when(r, rivals)}".strip() for r in rivals if self.leads_on(r)]
+        ways = [f"{r.options} {when(r, rivals)}".strip() for r in rivals]
         first = {reading.kind: reading for reading in reversed(others) if reading.kind.replace("_", " ") not in kinds}
         listed = [*rivals, *reversed(first.values())][:4]
-        return undecided(self.rest, self.wheels, why, "; ".join([*ways, self.last]), listed)
-
-    @property
-    def last(self) -> str:
-        """The way out that is always left: to drive the base by forces where it has no wheels for that, to park it."""
-        try:
-            pushed = self.attempt is not None and not self.attempt({"base": "holonomic"}).base.wheels
-        except InputError:
-            pushed = False
-        return FORCES if pushed else PARKED
+        return undecided(self.rest, self.wheels, why, "; ".join([*ways, last_way([*rivals, *others])]), listed)
 
     def whether(self, best: Proposal, others: Sequence[Proposal]) -> Exception:
         """The question whether a reading is meant though much speaks against it."""
@@ -114,10 +94,17 @@ class Question:
         if self.blind:
             return unmeasured(self.rest, [*self.wheels, *self.blind], listed)
         against = [sign.text for sign in best.signs if sign.weight < 0]
-        ways = [f"{best.options} {when(best, [best])}"] if self.leads_on(best) else []
+        ways = [f"{best.options} {when(best, [best])}"]
         if any("<mimic>" in text for text in against):
             ways.append("take out their <mimic> if they turn by themselves")
-        return undecided(self.rest, self.wheels, "; ".join(against), "; ".join([*ways, self.last]), listed)
+        return undecided(
+            self.rest, self.wheels, "; ".join(against), "; ".join([*ways, last_way([best, *others])]), listed
+        )
+
+
+def last_way(readings: Sequence[Proposal]) -> str:
+    """The way out that is always left: to park the base, or to drive it by forces where no wheels of it do that."""
+    return PARKED if any(reading.kind == "holonomic" for reading in readings) else FORCES
 
 
 def when(reading: Proposal, rivals: Sequence[Proposal]) -> str:

@@ -384,7 +384,7 @@ def with_motors(
     driven = [replace(w, driven=not told or w.joint in told) for w in wheels]
     if told or not wheels:
         return driven, []
-    text, fix = f"nothing says which wheels drive: all are taken as driven ({', '.join(names)})", "--base KIND --wheels"
+    text = f"nothing says which wheels drive: all are taken as driven ({', '.join(names)})"
     fix = f"name those that drive: --base KIND --wheels {','.join(names[:2])}"
     return driven, [note(rest, "base-driven", names[0], text, "no motor of them is in the file", fix)]
 

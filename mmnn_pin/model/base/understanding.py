@@ -11,7 +11,7 @@ import contextlib
 import copy
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -138,16 +138,9 @@ def understand(document: Document, overrides: Overrides) -> Roles:
         raise error.but(fix=leading_on(rest, welds, overrides, error.fix)) from None
 
 
-def roles_in(rest: AtRest, welds: dict[str, str], overrides: Overrides, asks: bool = True) -> Roles:
-    """The roles of a robot at rest whose root's joints were welded; errors as of `understand`, `asks` of `understood`.
-
-    Args:
-        rest: The robot at rest.
-        welds: Joints that stood it in the world, with their types.
-        overrides: What the user says.
-        asks: Whether ways out are tried and printed where it is undecided.
-    """
-    found = find_base(rest, overrides, asks)
+def roles_in(rest: AtRest, welds: dict[str, str], overrides: Overrides) -> Roles:
+    """The roles of a robot at rest, without the joints that stood it in the world, their types by names; see above."""
+    found = find_base(rest, overrides)
     require_rolling(rest, found.base, welds, overrides)
     arm = choose_arm(rest, found.base, overrides)
     if not found.base.columns and not arm.joints:
@@ -174,36 +167,30 @@ def leads_on(rest: AtRest, welds: dict[str, str], overrides: Overrides, way: str
     bare = msgspec.structs.replace(overrides, base=None, wheels=None, steer=None, hitch=None)
     for known, radius in product((overrides, bare), radii):  # beside what the user says of it, or in its place
         with contextlib.suppress(InputError):
-            roles_in(rest, welds, msgspec.structs.replace(known, **said, radius=radius), asks=False)
+            roles_in(rest, welds, msgspec.structs.replace(known, **said, radius=radius))
             return True
     return False
 
 
-def find_base(rest: AtRest, overrides: Overrides | None = None, asks: bool = True) -> BaseResult:
-    """The mobile base of a robot at rest; errors as of `understand`, `asks` as of `understood`."""
+def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
+    """The mobile base of a robot at rest; errors as of `understand`."""
     overrides = overrides or Overrides()
-    result = understood(rest, overrides, asks)
+    result = understood(rest, overrides)
     taken, findings = calibration(rest, result.base, overrides)
     if taken:
-        result = understood(rest, msgspec.structs.replace(overrides, **taken), asks)
+        result = understood(rest, msgspec.structs.replace(overrides, **taken))
     return replace(result, findings=(*result.findings, *findings), taken=taken)
 
 
-def understood(rest: AtRest, overrides: Overrides, asks: bool = True) -> BaseResult:
-    """The base by its geometry, by what the file says, and by what the user says; errors of `understand`.
-
-    Args:
-        rest: The robot at rest.
-        overrides: What the user says.
-        asks: Whether ways out are tried and printed where it is undecided.
-    """
+def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
+    """The base by its geometry, by what the file says, and by what the user says; errors of `understand`."""
     radii = {length.nominal for length in stated(rest, overrides.controllers_file, RADII)}
     radius = overrides.radius or (min(radii) if len(radii) == 1 else None)
     candidates = wheel_candidates(rest, radius, overrides.radius is not None)
     named = [declared_wheel(rest, name, candidates, overrides) for name in overrides.wheels or ()]
     if overrides.base != "fixed":
         require_possible(overrides, candidates, named)
-    result = with_strays(rest, chosen(rest, candidates, named, overrides, asks), overrides)
+    result = with_strays(rest, chosen(rest, candidates, named, overrides), overrides)
     require_drive(rest, result.base, overrides)
     require_motors(rest, result.base, overrides)
     require_used(overrides, result.base)
@@ -218,9 +205,7 @@ def understood(rest: AtRest, overrides: Overrides, asks: bool = True) -> BaseRes
     return replace(result, findings=(*result.findings, *notes))
 
 
-def chosen(
-    rest: AtRest, candidates: Candidates, named: list[Candidate], overrides: Overrides, asks: bool
-) -> BaseResult:
+def chosen(rest: AtRest, candidates: Candidates, named: list[Candidate], overrides: Overrides) -> BaseResult:
     """The base as the user says, else as the best reading has it."""
     if overrides.base == "fixed":
         return BaseResult(parked(rest, [*candidates.wheels, *candidates.near_misses, *candidates.limited]))
@@ -230,10 +215,10 @@ def chosen(
         if not found:  # with the error that says why
             kind = overrides.base or ("holonomic" if len(named) > 2 else "differential_drive")
             return on_wheels(rest, kind, named, wheels, overrides)
-        return Question(rest, wheels, attempt(rest, overrides, asks), sure=True).best_of(found)
+        return Question(rest, wheels, sure=True).best_of(found)
     if overrides.base == "holonomic" and not plain(candidates.wheels):
         return pushed(rest, candidates, overrides)
-    return decide(rest, candidates, overrides, asks)
+    return decide(rest, candidates, overrides)
 
 
 def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseResult:
@@ -327,7 +312,7 @@ def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
     return [(float(rest.hub(rest.document.joints[w.joint])[2]), w.radius) for w in base.wheels]
 
 
-def decide(rest: AtRest, candidates: Candidates, overrides: Overrides, asks: bool) -> BaseResult:
+def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
     """The base as the best reading has it."""
     require_sound_wheels(rest, candidates, overrides)
     if not candidates.wheels:
@@ -347,13 +332,7 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides, asks: boo
     if not found:
         raise no_base(rest, candidates.wheels, plain(candidates.wheels))
     blind, sure = blind_beside(rest, candidates.wheels), overrides.base is not None or says_steered(overrides)
-    question = Question(rest, candidates.wheels, attempt(rest, overrides, asks), blind, sure)
-    return question.best_of(found)
-
-
-def attempt(rest: AtRest, overrides: Overrides, asks: bool) -> Callable[[Mapping[str, Any]], BaseResult] | None:
-    """Trial of what becomes of the robot if the user says something more; None within such a trial."""
-    return (lambda said: understood(rest, msgspec.structs.replace(overrides, **said), asks=False)) if asks else None
+    return Question(rest, candidates.wheels, blind, sure).best_of(found)
 
 
 def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Iterator[Proposal]:
