@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...elementary import cos, sin
+from ...elementary.arrays import hypot
 from ..signs import told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
@@ -31,6 +32,7 @@ from .evidence import (
     in_yaml,
     mappings_of,
     multipliers,
+    number_of,
     own_files,
     stated,
 )
@@ -173,7 +175,7 @@ def calibration(rest: AtRest, base: Base, overrides: Overrides) -> tuple[dict[st
     if base.shape or not base.wheels:
         return taken, findings
     files = own_files(rest, {wheel.joint for wheel in base.wheels}, overrides.controllers_file)
-    findings += turned_backward(rest, base, files)
+    findings += contradictions(rest, base, files)
     tracks, radii = ([length for file in files for length in in_yaml(file, names)] for names in (TRACKS, RADII))
     track, unseen = agreed(tracks), base.scrubs and overrides.controllers_file is not None
     differs = track and (corrects(track, base.track) or (unseen and apart(track.value, base.track)))
@@ -209,11 +211,18 @@ def taken_note(rest: AtRest, base: Base, name: str, length: Stated, measured: fl
     return note(rest, "base-stated", base.wheels[0].joint, text, "the robot's driver works with it", fix)
 
 
-def turned_backward(rest: AtRest, base: Base, files: Sequence[str]) -> Iterator[Finding]:
-    """Wheels that the robot's own controllers turn backward, by the signs of their multipliers."""
+def contradictions(rest: AtRest, base: Base, files: Sequence[str]) -> Iterator[Finding]:
+    """Contradictions between the robot's own controllers and its URDF: arms of wheels, signs."""
+    x, y = (np.array([getattr(wheel, at) for wheel in base.wheels]) for at in ("x", "y"))
+    sums = {"sum_of_robot_center_projection_on_X_Y_axis": abs(x) + abs(y), "robot_radius": hypot(x, y)}
     for path in files:
         file = Path(path).name
         for table in mappings_of(path).values():
+            for key in sums.keys() & table.keys() if base.sideways else ():
+                used, value = float(sums[key].mean()), number_of(table, key, 0.0)
+                if apart(value, used):
+                    text = f"{key} ({file}, line {table[key].line}) is {value:.4g} m, here {used:.4g} m"
+                    yield note(rest, "base-stated", base.wheels[0].joint, text, TAKEN, "check it")
             for side in SIDES if base.two_sided else ():
                 key = next((k for k in (f"{side}_wheel_names", f"{side}_wheel") if k in table), "")  # latter: ROS 1
                 sign = math.copysign(1.0, math.prod(multipliers(table, "wheel_radius", side).values()))
