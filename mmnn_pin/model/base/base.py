@@ -127,7 +127,7 @@ class Base:
 
     @staticmethod
     def pose_energy(error: Array, z: Array, v_ref: Array, gains: Array) -> PoseEnergy | None:
-        """Lyapunov function of the pose error under the law, None where these gains have none.
+        """Lyapunov function of the pose error under the law, None where these gains, or this kind, have none.
 
         Args:
             error: (k, 3) pose error in the base frame [m, m, rad].
@@ -135,16 +135,12 @@ class Base:
             v_ref: (k, nb) reference velocity [m/s, rad/s].
             gains: Those of the law.
         """
-        raise NotImplementedError
+        return None
 
     @staticmethod
     def pose_weights(gains: Array) -> Array | None:
-        """Second derivatives of `pose_energy` along what each velocity drives, at no error, (nb,); None without one.
-
-        Args:
-            gains: Those of the law.
-        """
-        raise NotImplementedError
+        """Second derivatives of `pose_energy` along what each velocity drives, at no error, (nb,); None without one."""
+        return None
 
     @staticmethod
     def largest_gain(gains: Array, speed: float) -> float:

@@ -32,7 +32,6 @@ STEERED_NAMES = re.compile(
 TRACK_NAMES = re.compile(
     r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?|flippers?|tank)([_./ -]|$)", re.IGNORECASE
 )
-TANK_NAMES = re.compile(r"(^|[_/ -])(tracked|crawlers?|caterpillars?|tank)([_./ -]|$)", re.IGNORECASE)
 TRACKED_NAMES = re.compile(r"tracked|crawler|caterpillar", re.IGNORECASE)  # of "tanks" some have plain wheels
 LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
 LEGS, SPREAD = 4, 0.5  # fewest legs that are stretched out; how alike they are, and how little they point one way
@@ -100,14 +99,14 @@ def belt_signs(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Sign]:
         yield Sign(text, 1.0)
 
 
-def track_named(rest: AtRest, pattern: re.Pattern[str] = TRACK_NAMES) -> str:
+def track_named(rest: AtRest) -> str:
     """A name that tells that a machine runs on tracks, empty where there is none."""
     meshes = (mesh.get("filename", "") for mesh in rest.document.root.iterfind(MESHES))
     called = f"{rest.document.root.get('name', '')} {rest.document.path.stem}"
-    if re.search("tank", called, re.IGNORECASE) or TANK_NAMES.search(called):
+    if "tank" in called.lower() or TRACKED_NAMES.search(called):
         return f"'{called.strip()}' is its name"
     names = [*rest.document.links, *rest.document.joints, *("/".join(m.split("/")[-2:]) for m in meshes)]
-    hit = next(filter(None, map(pattern.search, names)), None)
+    hit = next(filter(None, map(TRACK_NAMES.search, names)), None)
     return f"'{hit.string}' among its names" if hit else ""
 
 

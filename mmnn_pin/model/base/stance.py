@@ -122,7 +122,8 @@ def along(
             ways, turning = ways_along(p, place, bent, moves[:, k])
             if p.role == ROLES[PASSIVE]:
                 first = trailing(p, place, moves[:, k], ways[:, 0], left)
-                ways = swung(p, time, place, first)[None]
+                ways = np.full((1, len(time)), first)
+                swing(np.ascontiguousarray(time), np.ascontiguousarray(place), trail_of(p), p.wheel[2], ways[0])
                 turning = swing_rate(p, place, ways[0])[None]
             at, angles[:, k], fits[k] = nearest_way(ways, left, *room(p, share))
             rates[:, k] = turning[at]
@@ -211,16 +212,9 @@ def swing_rate(p: Pivot, place: Array, angle: Array) -> Array:
     return np.asarray((s * x - c * y) / trail - w)
 
 
-def swung(p: Pivot, time: Array, place: Array, first: float) -> Array:
-    """Angles (N,) to the left of a passive pivot that begins at one, by Runge and Kutta's method."""
-    angles = np.full(len(time), first)
-    swing(np.ascontiguousarray(time), np.ascontiguousarray(place), trail_of(p), p.wheel[2], angles)
-    return angles
-
-
 @compiled
 def swing(time: Array, place: Array, trail: float, heading: float, angles: Array) -> None:
-    """Angles (N,) of a passive pivot along velocities (N, 3) of its place, the first one given."""
+    """Angles (N,) of a passive pivot along velocities (N, 3) of its place, the first one given (Runge, Kutta)."""
     for i in range(time.size - 1):
         dt, size = time[i + 1] - time[i], max(hypot(place[i, 0], place[i, 1]), hypot(place[i + 1, 0], place[i + 1, 1]))
         steps = 1 + int(dt * size / (FINE * abs(trail)))

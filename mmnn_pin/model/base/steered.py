@@ -27,7 +27,8 @@ from .stance import along, bends
 class SteeredBase(Base):
     """A base on pivots.
 
-    Its `wheels` are all that roll, driven or not; an idle one is moved by the floor.
+    Its `wheels` are all that roll, driven or not; an idle one is moved by the floor. The steering stands between the
+    pose and nu, so that there is no `pose_energy` of these alone.
     """
 
     body: ClassVar[int] = STEERED  # what its body may do, `STEERED`, `AXLE` or `FREE` (`rolling`)
@@ -191,16 +192,6 @@ class SteeredBase(Base):
             return twist
         n, W = maps.V[0][:, 0], np.array([1.0, 1.0, self.length**2])
         return np.append(n @ (W * self.eta_of(twist)), np.zeros(len(self.masters)))
-
-    @staticmethod
-    def pose_energy(error: Array, z: Array, v_ref: Array, gains: Array) -> PoseEnergy | None:
-        """See `Base.pose_energy`: the steering stands between the pose and nu, so there is none of these alone."""
-        return None
-
-    @staticmethod
-    def pose_weights(gains: Array) -> Array | None:
-        """See `Base.pose_weights`: none."""
-        return None
 
     @classmethod
     def largest_gain(cls, gains: Array, speed: float) -> float:

@@ -411,17 +411,10 @@ def possible(rest: AtRest, c: Candidate) -> Candidate:
 
 
 def sized(c: Candidate, room: float, footing: float, stated: float | None, given: bool) -> Candidate:
-    """A hidden wheel with the radius that is stated, else with the height of its hub above the floor.
+    """A hidden wheel with the radius that is stated, else with the height of its hub above the floor, all in m.
 
-    The radius is nan where nothing tells the floor, or there is no room for it; a file's cannot be less than what is
-    left of the wheel.
-
-    Args:
-        c: The wheel.
-        room: Distance of the wheel on the same axis [m].
-        footing: Height of the floor, nan where nothing tells it [m].
-        stated: What is stated of the radius [m].
-        given: Whether the user states it.
+    The radius is nan where nothing tells the floor, or where the next wheel on the axis leaves no room for it; one that
+    no user gives cannot be less than what is left of the wheel.
     """
     least = 0.0 if math.isnan(c.left) else (1 - SURE) * c.left
     believed = stated if stated is not None and (given or stated >= least) else None
