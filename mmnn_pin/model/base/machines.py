@@ -37,7 +37,6 @@ LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
 LEGS, SPREAD = 4, 0.5  # fewest legs that are stretched out; how alike they are, and how little they point one way
 SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
 SWERVE = "swerve drive"
-PUSHED = "--base holonomic drives it by forces on its frame, its wheels standing still"
 MODULE_NAMES = re.compile(r"wheel|steer|caster", re.IGNORECASE)
 PROPELLERS, PROPELLER_NAMES = "vehicle with propellers", re.compile(r"thruster|propeller", re.IGNORECASE)
 DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|\buav|flying|(?<![a-z])prop_?\d", re.IGNORECASE)

@@ -19,7 +19,7 @@ from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .evidence import Evidence
 from .modules import NAMES
-from .report import BaseReading, BaseResult, note, undecided, unmeasured
+from .report import FORCES, PARKED, BaseReading, BaseResult, note, undecided, unmeasured
 from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, across, coaxial, on_either_side, one_axle, parallel
 
 NO_BASE = -4.0  # score of the reading that these wheels make no base
@@ -30,8 +30,6 @@ IN_ROW = 0.2  # wheels of a side may differ in place by this fraction of the wid
 ALIKE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
 ROLLING = ("skid_steer", "tracked")
 TOLD_BY = {"skid_steer": "skid_steer", "tracked": "skid_steer", "holonomic": "holonomic"}  # meaning of evidence
-PARKED = "--base fixed parks it"
-FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed to park it"
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,9 @@ from .wheels import (
 
 LARGE, WIDE = 2.0, 3.0  # [m], fraction of the track; no wheel of a robot has a larger radius
 SPEAKS = {"for": 1, "against": -1}
+PARKED = "--base fixed parks it"
+FORCES = f"--base holonomic drives it by forces on its frame; {PARKED}"
+STILL = f"--base holonomic drives it by forces on its frame, its wheels standing still; {PARKED}"
 NO_FRICTION = "no joint has damping or friction"
 TELLS = 3.5  # least margin of forward that tells where left and right speak against it: at 3 one of public robots errs
 HUGE = 20.0  # [m], no robot has a larger track
@@ -351,7 +354,7 @@ def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[st
     """The error for what would be drive wheels but for one thing; `package_dirs` were given for meshes."""
     near, gap = candidates.near_misses, min(c.bottom for c in candidates.near_misses) - candidates.floor
     why, parks = f"they end {gap:.3g} m above the robot's lowest point", "--base fixed parks them"
-    fix = "--base holonomic drives it by forces on its frame; --base fixed parks it"
+    fix = FORCES
     if any(abs(c.axis[2]) > VERTICAL for c in near):
         why, fix = "their axle is vertical", f"turn the robot so that z points up (a file with y up?); {parks}"
     elif any(abs(c.axis[2]) > HORIZONTAL for c in near):

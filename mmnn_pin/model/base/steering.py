@@ -24,7 +24,7 @@ from .heading import heading, left_first
 from .modules import Module, Undercarriage, on_line
 from .overrides import Overrides
 from .placing import casters_of, in_order
-from .report import BaseResult, note, unsupported
+from .report import STILL, BaseResult, note, unsupported
 from .rolling import FOLLOWER, MASTER, PASSIVE, ROLES, Pivot, closed, new_maps, roll
 from .steered import (
     Articulated,
@@ -42,7 +42,6 @@ SIDEWAYS = 5e-4  # speed across a wheel per speed of the base that is told
 SAMPLES = 6  # of angles at which it is looked for
 MIDDLE = 0.1  # a wheel that steers within this fraction of the wheelbase of the fixed axle steers nothing
 ONE_BODY = "write one vehicle in a file, or --base holonomic drives it by forces on its frame"
-STILL = "--base holonomic drives it by forces on its frame, its wheels standing still; --base fixed parks it"
 
 
 # -- what it makes -----------------------------------------------------------------------------------------------------

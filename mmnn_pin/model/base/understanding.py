@@ -31,7 +31,6 @@ from .evidence import OUTDOORS, RADII, evidence, motors_named, plugins, stated
 from .heading import left_first
 from .machines import (
     PROPELLERS,
-    PUSHED,
     SWERVE,
     belt_signs,
     machine,
@@ -53,8 +52,10 @@ from .placing import (
     require_possible,
     require_used,
 )
-from .readings import FORCES, NO_BASE, ROLLING, Drives, Proposal, Question
+from .readings import NO_BASE, ROLLING, Drives, Proposal, Question
 from .report import (
+    FORCES,
+    STILL,
     BaseResult,
     Undecided,
     arm_notes,
@@ -102,7 +103,6 @@ OPTION = re.compile(r"--(base|wheels|steer|hitch|forward) (?!if |and |name |JOIN
 LISTED = ("wheels", "steer", "hitch")
 RADII_TRIED = (0.05, 0.15, 0.4)  # [m] in the place of a radius that a way out asks for
 NO_WAY = "mend the file: no option leads on"
-UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
 PLANE = [(False, True), (True, True)]  # a turn and a slide, both upright: beside two level slides
 FAR = 50.0  # [m] travel of a slide that no gantry has
 NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty link
@@ -285,7 +285,7 @@ def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
     if driving and not base.columns and overrides.base is None:
         why = "no joint could be a wheel, and a plugin drives a base"
         why += f": {', '.join(driving)}"
-        raise undecided(rest, [], why, UNDRIVEN, ["holonomic", "fixed"])
+        raise undecided(rest, [], why, FORCES, ["holonomic", "fixed"])
 
 
 def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
@@ -461,15 +461,15 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
     """A fixed arm, unless it walks, flies, is welded together or stands on welded wheels."""
     if known := machine(rest):
         name, why = known
-        raise unsupported(rest, name, why, (), f"{PUSHED}; --base fixed parks it" if name == SWERVE else "")
+        raise unsupported(rest, name, why, (), STILL if name == SWERVE else "")
     moving = [joint for joint in rest.document.joints.values() if joint.moves]
     welded = welded_wheels(rest, floor)
     if welded and (why := steering_named(rest)):
-        fix = f"{written_to_turn(rest, welded)}; {PUSHED}; --base fixed parks it"
+        fix = f"{written_to_turn(rest, welded)}; {STILL}"
         raise unsupported(rest, "base that steers", f"{why}, and its wheels are welded on", (), fix)
     if welded:
         names = ", ".join(f"'{joint.name}'" for joint in welded)
-        fix = f"{UNDRIVEN}, or {written_to_turn(rest, welded)}"
+        fix = f"{FORCES}; {written_to_turn(rest, welded)}"
         why = f"{len(welded)} wheels are welded on (fixed joints): {names}"
         raise undecided(rest, [], why, fix, ["holonomic", "fixed"], welded[0].line)
     if why := track_named(rest) if not moving else welded_tracks(rest):
@@ -483,7 +483,7 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         raise unsupported(rest, "single rigid body", "it has no joint that moves", (), fix)
     if overrides.base is not None:
         why = "no joint turns without end about a horizontal axis with something round on the floor"
-        fix = f"name them with --wheels if they turn in this file, or {UNDRIVEN}"
+        fix = f"name them with --wheels if they turn in this file, or {FORCES}"
         raise undecided(rest, [], why, fix, [overrides.base])
     if len(called := called_wheels(rest)) > 1:
         why, fix = "joints that turn without end are called wheels, and none is found on the floor", FORCES
