@@ -361,9 +361,7 @@ def beside(rest: AtRest) -> list[Path]:
     """YAML files of the package that a robot's file is in, and of those beside it that have its name."""
     package = Path(package_of(str(rest.document.path.parent.absolute())))
     stem = re.sub(r"_?(description|model|urdf)$", "", package.name)
-    siblings = package.parent.glob("*/package.xml") if stem and (package / "package.xml").is_file() else ()
-    near = sorted(file.parent for file in siblings if file.parent.name.startswith(stem))
-    folders = [package, *(folder for folder in near if folder != package)]
+    folders = [package, *(f for f in siblings(package) if stem and f.name.startswith(stem) and f != package)]
     places = [folder / place for folder in folders for place in ("", "config", "params")]
     files = [file for place in places for file in place.glob("*.y*ml")]
     return [file for file in files[:YAMLS] if is_readable(file)]
@@ -382,3 +380,10 @@ def own_package(rest: AtRest) -> Path | None:
     """The ROS package that a robot's file is in, None where no `package.xml` marks one."""
     folder = Path(package_of(str(rest.document.path.parent.absolute())))
     return folder if (folder / "package.xml").is_file() else None
+
+
+def siblings(folder: Path) -> list[Path]:
+    """Packages in the folder that holds one, none where it is no package."""
+    if not (folder / "package.xml").is_file():
+        return []
+    return sorted(file.parent for file in folder.parent.glob("*/package.xml"))
