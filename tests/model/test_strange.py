@@ -262,7 +262,7 @@ def test_a_base_that_a_plugin_drives_is_no_stand(plugin):
     with pytest.raises(Undecided, match="a plugin drives a base") as error:
         robot_of(text)
     kinds = [followed(text, way).base.kind for way in ways_of(error.value.fix)]
-    assert kinds == ["fixed", "holonomic"]
+    assert kinds == ["holonomic", "fixed"]
 
 
 def test_a_single_body_may_be_a_base():

@@ -421,7 +421,7 @@ def test_controllers_that_leave_wheels_out_speak_for_a_skid_steer():
     control = f'<ros2_control name="c" type="system">{entry.format("fl")}{entry.format("fr")}</ros2_control>'
     robot = robot_of(four(more=control))
     cited = next(f.message for f in robot.findings if f.code == "base-evidence")
-    assert robot.base.kind == "skid_steer" and "without motors in the file" in cited
+    assert robot.base.kind == "skid_steer" and "commands only fl, fr" in cited
 
 
 def test_wheels_of_which_some_have_motors_skid():
@@ -429,7 +429,7 @@ def test_wheels_of_which_some_have_motors_skid():
     robot = robot_of(four(more=parts))
     assert robot.base.kind == "skid_steer" and "base-driven" in codes(robot)
     cited = next(f.message for f in robot.findings if f.code == "base-evidence")
-    assert "without motors in the file" in cited
+    assert "transmissions only of fl, fr (line" in cited
     whole = "".join(f'<transmission name="t_{n}"><joint name="{n}"/></transmission>' for n in CORNERS)
     assert robot_of(four(more=whole + MOVE)).base.kind == "holonomic"
 

@@ -53,6 +53,7 @@ WEIGHTS = {  # of evidence by its source, as of `model.signs`: the last ones onl
     "oblique friction": 5.0,
     "plugin": 3.5,
     "controllers": 3.5,
+    "commands": 3.5,
     "no friction": 3.0,
     "friction": 2.5,
     "mecanum": 4.5,
@@ -60,6 +61,7 @@ WEIGHTS = {  # of evidence by its source, as of `model.signs`: the last ones onl
     "names": 1.5,
     "readme": 2.2,
     "called": 1.2,
+    "transmissions": 1.0,
 }
 NO_FRICTION, GRIP = 1e-3, 0.2  # friction coefficients below the first slide, above the second hold
 LONGEST, YAMLS = 1_000_000, 40  # bytes of a controllers' file or a README, files looked at beside a robot's
@@ -72,6 +74,7 @@ FACTORS = {  # what else a controller multiplies them by
     "wheel_radius": ("wheel_radius_multiplier", "{side}_wheel_radius_multiplier"),
 }
 SIDES = ("left", "right")
+MOTORS = {"commands": "ros2_control/joint[command_interface]", "transmissions": "transmission/joint"}
 KEY = re.compile(r"['\"]?([^\s'\"{}\[\],]+?)['\"]?\s*:(?:\s+|$)(.*)")
 FLOW = re.compile(r"[{,]\s*['\"]?([^\s'\"{}\[\],:]+)['\"]?\s*:\s*([^{}\[\],]+)")
 
@@ -98,7 +101,7 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
     files = own_files(rest, {c.joint.name for c in wheels}, controllers)
     words = (word for file in files for word in types_in(file, WORDS))
     drivers = [*plugins(rest), *(Evidence(*word, "controllers") for word in words)]
-    found = [*rollers(rest, wheels), *drivers, *contact(rest, wheels)]
+    found = [*rollers(rest, wheels), *drivers, *motors_of_some(rest, wheels), *contact(rest, wheels)]
     return [*found, *names(rest, wheels), *([] if drivers else readme(rest))]  # a README repeats what drivers say
 
 
@@ -152,6 +155,16 @@ def own_files(rest: AtRest, wheels: set[str], controllers: str | None) -> list[s
         for file in beside(rest)
     }
     return [file for file, entries in values.items() if wheels <= {word for entry in entries for word in entry.items}]
+
+
+def motors_of_some(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Commands and transmissions of some of the wheels only: the others roll along, so they must skid."""
+    for what, source in (("<ros2_control> commands only", "commands"), ("transmissions only of", "transmissions")):
+        stated = {e.get("name"): e for e in rest.document.root.iterfind(MOTORS[source])}
+        driven = [stated[wheel.joint.name] for wheel in wheels if wheel.joint.name in stated]
+        if 0 < len(driven) < len(wheels):
+            text = f"{what} {', '.join(e.get('name', '') for e in driven)} (line {driven[0].sourceline})"
+            yield Evidence("skid_steer", text, driven[0].sourceline, source)
 
 
 def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -232,7 +245,7 @@ def motors_named(rest: AtRest, controllers: str | None = None) -> dict[str, str]
         tag = str(element.tag).lower()
         if "joint" in tag and not tag.startswith("passive"):  # PR2's have flexJoint, gap_joint, passive_joint
             drivers[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
-    for element in root.iterfind("ros2_control/joint[command_interface]"):
+    for element in root.iterfind(MOTORS["commands"]):
         drivers[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
     for element in root.iterfind("gazebo//*"):
         if MOVED.search(str(element.tag)) and not reads_only(element):

@@ -327,6 +327,12 @@ def without_spin(rest: AtRest, candidates: Candidates, known: Sequence[Module], 
             refuse_rolled(rest, joint)
             wheel = Candidate(joint, s.pose[:3, 2], s.pose[:3, 3], s.radius, "cylinder", "steering", 0.0)
             found[joint.name] = Module(joint, [wheel], spins=False)
+    virtual = {m.joint.mimics: m for m in found.values() if m.joint.mimics in rest.document.joints}
+    for name, m in virtual.items():  # what they follow without having a wheel: the virtual one of a bicycle model
+        if name not in found and name not in taken:
+            joint = rest.document.joints[str(name)]
+            at = np.array([*rest.hub(joint)[:2], m.wheels[0].centre[2]])
+            found[str(name)] = Module(joint, [replace(m.wheels[0], joint=joint, centre=at)], spins=False)
     return [m for m in found.values() if m.joint.mimics not in found]
 
 

@@ -7,6 +7,7 @@ in question, each tried before it is printed (`understanding`). That these wheel
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import InputError
 from ..signs import MARGIN, Sign, told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
@@ -40,6 +42,13 @@ class Proposal(BaseReading):
     build: Callable[[], BaseResult]  # makes it; raises what `understanding` raises where it cannot be
 
     @property
+    def stands(self) -> bool:
+        """Whether it can be built."""
+        with contextlib.suppress(InputError):
+            return bool(self.build())
+        return False
+
+    @property
     def options(self) -> str:
         """Its statements as they stand on the command line."""
         texts = {key: value if isinstance(value, str) else ",".join(value) for key, value in self.said.items()}
@@ -64,7 +73,7 @@ class Question:
         """
         ordered = sorted(readings, key=lambda reading: -reading.score)
         best, others = ordered[0], ordered[1:]
-        rivals = [reading for reading in others if best.score - reading.score < MARGIN]
+        rivals = [reading for reading in others if best.score - reading.score < MARGIN and reading.stands]
         doubtful = best.score - NO_BASE < MARGIN and not self.sure
         if rivals:
             raise self.which([best, *rivals], [reading for reading in others if reading not in rivals])
