@@ -38,4 +38,4 @@ def test_fields_are_told_by_docstring_and_comments() -> None:
 def test_every_field_is_told_of_settings_numbers_and_kinds_of_base() -> None:
     assert [*meanings(ConcurrentSettings)] == [*ConcurrentSettings.__struct_fields__]
     assert [*meanings(History)] == [*History._fields]
-    assert {"wheels", "pivots", "scrub"} <= meanings(SteeredBase).keys()  # of `Base` and its own
+    assert {"wheels", "pivots", "length"} <= meanings(SteeredBase).keys()  # of `Base` and its own

@@ -147,8 +147,8 @@ def test_any_public_name_is_printed_with_its_docstring(name: str, capsys: pytest
 
 def test_what_stands_beside_fields_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert "    basis: Array  # (k0, k) `theta = theta_0 + basis w`" in printed(capsys, "torque.concurrent.History")
-    above = printed(capsys, "SteeredBase").partition("    # largest speed at which a wheel slides")[2]
-    assert above.splitlines()[2] == "    scrub: float = 0.0"
+    above = printed(capsys, "Wheel").partition("    # angle from the rolling direction")[2]
+    assert above.splitlines()[2] == "    roller: float | None = None"
 
 
 LAB = ROOT / "mmnn_pin/lab/experiments"

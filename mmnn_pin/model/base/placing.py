@@ -162,7 +162,7 @@ def require_possible(overrides: Overrides, candidates: Candidates, named: list[C
 def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
     """Refuse a base that needs all its wheels, of which the file drives some, unless the user names them.
 
-    A skid-steer base's others turn along (`understanding`); a plugin may move the base as a whole.
+    A skid-steer base's others turn along; a plugin may move the base as a whole.
 
     Raises:
         RobotError: It does.
@@ -205,13 +205,13 @@ def require_used(overrides: Overrides, base: Base) -> None:
 def frame_of(
     rest: AtRest, drives: list[Candidate], wheels: list[Candidate], kind: type[Base], overrides: Overrides
 ) -> Base:
-    """Control frame, wheels, casters and suspensions; errors as of `heading`."""
+    """Control frame, wheels, casters and suspensions; errors as of `heading` and `require_motors`."""
     stated = overrides.radius_of
     drives = [replace(c, radius=stated.get(c.joint.name, overrides.radius or c.radius)) for c in drives]
     forward, middle = heading(rest, drives, overrides).forward, np.mean([c.centre[:2] for c in drives], axis=0)
     placed, track = placed_wheels(drives, middle, forward, kind, overrides.track)
     suspensions = [j.name for c in drives for j in rest.document.moving_ancestors(c.joint.child)[1:]]
-    return kind(
+    base = kind(
         wheels=placed,
         track=track,
         frame=np.array([*middle, atan2(forward[1], forward[0])]),
@@ -220,6 +220,8 @@ def frame_of(
         suspensions=in_order(rest, suspensions),
         parked=in_order(rest, [name for c in wheels for name in c.rollers]),
     )
+    require_motors(rest, base, overrides)
+    return base
 
 
 def placed_wheels(

@@ -48,7 +48,6 @@ from .placing import (
     on_arms,
     on_wheels,
     pushed,
-    require_motors,
     require_possible,
     require_used,
 )
@@ -192,7 +191,6 @@ def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
         require_possible(overrides, candidates, named)
     result = with_strays(rest, chosen(rest, candidates, named, overrides), overrides)
     require_drive(rest, result.base, overrides)
-    require_motors(rest, result.base, overrides)
     require_used(overrides, result.base)
     drives = named if overrides.wheels is not None and overrides.base != "fixed" else candidates.wheels
     seen = {c.joint.name: c for c in (*candidates.wheels, *candidates.limited, *named)}
