@@ -11,6 +11,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import grp
+import json
 import os
 import pwd
 import re
@@ -151,6 +152,18 @@ def parsed_toml(text: str) -> dict[str, Any]:
     if is_deep(table):
         raise ValueError(DEEP)
     return table
+
+
+def parsed_json(text: str | bytes) -> Any:
+    """A text of JSON as its value.
+
+    Raises:
+        ValueError: It is none, or too deep.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
 
 
 def quoted(text: str) -> str:

@@ -525,6 +525,10 @@ def test_code_is_not_taken_from_a_folder_that_others_can_write_to(
     assert f"warning: compiled code is not taken from {shared}: others can write to {shared} (mode 777)" in line
     found.parent.chmod(0o777)
     assert folder_of_a_new_process() is None and "it is not kept" in capsys.readouterr().err
+    found.parent.rename(mine := tmp_path / "mine")
+    mine.chmod(0o700)
+    found.parent.symlink_to(mine)  # a link of theirs, which may lead elsewhere tomorrow
+    assert folder_of_a_new_process() == mine / found.name and "it is kept in" in capsys.readouterr().err
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "own"))  # as the line says
     found = folder_of_a_new_process()
     assert found is not None and found.parent == tmp_path / "own" and capsys.readouterr().err == ""

@@ -28,6 +28,7 @@ from mmnn_pin.files import opened, read_bytes
 from mmnn_pin.lab.psi.held_out import held_out
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.lab.show.identified import page
+from mmnn_pin.model.urdf.packages import VISITED
 from mmnn_pin.model.urdf.reading import audit_data, audit_file
 
 PATIENCE = 10.0  # [s] of processor time and of the clock
@@ -265,6 +266,7 @@ DOUBTFUL = {  # beginnings of what a search looks for to the end, again and agai
     "comments": ("", "<!--", "<!DOCTYPE x>"),
     "sections": ("", "<![CDATA[", "<!DOCTYPE x>"),
     "macros": ('<robot name="x">', "<xacro:macro ", "</robot>"),
+    "a number": ('<robot name="x"><link name="a"><inertial><mass value="', "0", 'x"/></inertial></link></robot>'),
 }
 
 
@@ -276,6 +278,30 @@ def test_a_text_is_searched_in_time_that_grows_with_its_size(kind: str, tmp_path
     with suppress(RobotError):
         assert audit_file(tmp_path / "x.urdf")[0] is None
     assert time.process_time() - begun < 3.0
+
+
+LISTS = {"a key": "wheel" * 200_000 + ":\n", "a list": "joints:\n" + "- x\n" * 249_000, "keys": "a: {b: 1, " * 100_000}
+
+
+@pytest.mark.parametrize("kind", LISTS)
+def test_so_is_a_file_of_controllers(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text(LISTS[kind][:1_000_000])
+    begun = time.process_time()
+    assert main(["inspect", str(ROOT / "urdf" / "platform_arm.urdf"), "--controllers", str(tmp_path / "a.yaml")]) == 0
+    assert time.process_time() - begun < PATIENCE
+
+
+def test_folders_are_not_searched_without_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither for packages nor for the file that calls the macros of one which has no robot."""
+    head = '<robot name="mini" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    (tmp_path / "robot.xacro").write_text(f'{head}<xacro:macro name="one"><link name="a"/></xacro:macro></robot>')
+    for k in range(4 * VISITED):
+        (tmp_path / f"{k}").mkdir()
+    looked: list[str] = []
+    sys.addaudithook(lambda event, given: looked.append(str(given[0])) if event == "os.scandir" else None)
+    assert main(["inspect", str(tmp_path / "robot.xacro")]) == 2
+    assert "it only defines macros: one" in capsys.readouterr().err
+    assert sum(str(tmp_path) in folder for folder in set(looked)) <= 2 * VISITED + 10
 
 
 def test_curves_that_unpack_to_gigabytes_are_not_read(tmp_path: Path) -> None:

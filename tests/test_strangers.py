@@ -210,6 +210,34 @@ def test_a_log_that_nothing_measured_is_one_line(row, says, tmp_path, capsys):
     assert says in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    "name", ["a" * 200_000, '"' + "a," * 100_000 + '"', "q_" + "1" * 5000, "a" + " " * 100_000 + "b"]
+)
+def test_a_name_of_a_column_that_is_far_too_long_is_one_line(name, tmp_path, capsys):
+    (tmp_path / "log.csv").write_text(f"time,position.arm_1_joint,{name}\n0,0,0\n1,1,1\n")
+    assert main(["identify", str(tmp_path / "log.csv"), "--robot", "two_axis_arm", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "log.csv:1: error: not a CSV file: " in said and said.count("\n") == 1 and len(said) < 2000
+
+
+DEEP = "[" * 100_000
+DEEP_FILES = {
+    "meta/info.json": "identify . --robot two_axis_arm --out out",
+    "a.identified.json": "run track --controller adaptive --set adaptive.start=a.identified.json --out out",
+    "a.json": "model platform_arm --at a.json",
+}
+
+
+@pytest.mark.parametrize("file", DEEP_FILES)
+def test_json_that_is_nested_without_end_is_one_line(file, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_text(DEEP)
+    assert main(DEEP_FILES[file].split()) == 2
+    (line,) = (one for one in capsys.readouterr().err.splitlines() if "error: " in one)
+    assert "internal" not in line
+
+
 def test_a_state_that_is_no_text_is_one_line(tmp_path, capsys):
     (tmp_path / "state.json").write_bytes(b'{"\x89": 1}')
     assert main(["model", "platform_arm", "--at", str(tmp_path / "state.json")]) == 2

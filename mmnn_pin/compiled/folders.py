@@ -139,7 +139,7 @@ def private_root(root: Path, name: str) -> Path | None:
     """
     if not (why := make_private(root / name)):
         return root
-    other: Path | None = Path(gettempdir()).resolve() / f"mmnn_pin-{os.getuid()}"
+    other: Path | None = Path(gettempdir(), f"mmnn_pin-{os.getuid()}").resolve()
     if other is not None and make_private(other / name):
         other = None
     if parent_process() is None:  # else it has said so

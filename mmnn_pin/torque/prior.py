@@ -8,7 +8,6 @@ prior is made lighter, body by body, until no velocity feels more inertia of it 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,7 +18,7 @@ import numpy as np
 
 from ..elementary.matrices import product
 from ..errors import ConfigError
-from ..files import read_text
+from ..files import parsed_json, read_text
 from ..model.regressor import BODY, Regressor
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
@@ -249,7 +248,7 @@ def identified(file: str, labels: Sequence[str], key: str) -> tuple[Array, Array
     """
     fix = "give NAME.identified.json as mmnn identify writes it"
     try:
-        report = json.loads(read_text(Path(file), LARGEST))
+        report = parsed_json(read_text(Path(file), LARGEST))
         names, theta, covariance = list(report["labels"]), np.array(report["theta"]), np.array(report["covariance"])
         right = theta.shape == (len(names),) and covariance.shape == (len(names), len(names))
         if not (

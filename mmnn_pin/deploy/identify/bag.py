@@ -1,4 +1,7 @@
-"""Motions in bags: joint states, odometry and a reference pose, read by rosbags without ROS (extra `identify`)."""
+"""Motions in bags: joint states, odometry and a reference pose, read by rosbags without ROS (extra `identify`).
+
+Messages are read as ROS defines their types. A bag's own definitions are not: rosbags makes programs of them.
+"""
 
 from __future__ import annotations
 
@@ -27,6 +30,7 @@ AGAIN = "record it again, or export CSV"
 PART = 1 << 20  # bytes that are unpacked at once
 ONE_AT_A_TIME = threading.Lock()  # who has put something in the place of functions of rosbags
 TRANSFORMED = "geometry_msgs/msg/TransformStamped"
+READ = {JOINTS, ODOMETRY, *POSES, TRANSFORMED}
 
 
 def read_bag(path: Path, robot: Robot, columns: Columns) -> Log:
@@ -111,13 +115,13 @@ def decoder(form: str) -> Any:
 
 @contextmanager
 def reader(path: Path) -> Iterator[Any]:
-    """A bag, open.
+    """A bag, open: `connections`, `messages` as rosbags has them, and `deserialize(data, type)`.
 
     Raises:
         RecordingError: rosbags is not there, or the bag cannot be read.
     """
     try:
-        from rosbags.highlevel import AnyReader
+        from rosbags import rosbag1, rosbag2
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         fix = "pip install 'mmnn_pin[identify]'"
@@ -127,11 +131,15 @@ def reader(path: Path) -> Iterator[Any]:
         for file in path.iterdir() if path.is_dir() else [path]:
             with opened(file):  # nothing but plain files
                 size += file.stat().st_size
-        with (
-            bounded(DENSEST * size + ROOM),
-            AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag,
-        ):
-            yield bag
+        is_first = path.suffix == ".bag"
+        types = get_typestore(Stores.ROS1_NOETIC if is_first else Stores.ROS2_HUMBLE)
+        deserialize = types.deserialize_ros1 if is_first else types.deserialize_cdr
+        hash_of = (lambda name: types.generate_msgdef(name)[1]) if is_first else types.hash_rihs01
+        with bounded(DENSEST * size + ROOM), (rosbag1 if is_first else rosbag2).Reader(path) as bag:
+            for one in bag.connections:
+                if one.msgtype in READ and one.digest and one.digest != hash_of(one.msgtype):
+                    raise ValueError(f"its {one.msgtype} is another than that of ROS")
+            yield SimpleNamespace(connections=bag.connections, messages=bag.messages, deserialize=deserialize)
     except InputError:
         raise
     except Exception as error:  # rosbags, sqlite and the decoders each have their own

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, RecordingError, UnknownName
-from ...files import LARGEST, read_bytes, read_toml, reason
+from ...files import LARGEST, parsed_json, read_bytes, read_toml, reason
 from ...model.robot import Robot
 from ...recording.recording import Recording, as_columns
 from ...reference.samples import TIMES
@@ -27,6 +26,7 @@ WORDS = {
     "velocity": ("velocity", "velocities", "vel", "dq", "qd", "qdot", "speed"),
     "effort": ("effort", "efforts", "torque", "torques", "tau", "eff", "current", "force", "load"),
 }
+LONGEST_NAME = 200  # letters of a column's
 STAMPS = ("time", "timestamp", "stamp")  # in a header with other words
 WANTED = {"action", "target", "desired", "goal", "command", "commanded", "cmd", "setpoint"}  # of what is not measured
 UNITS = {"s", "sec", "secs", "seconds", "ms", "us", "ns"}  # that may follow
@@ -305,7 +305,7 @@ def read_table(path: Path) -> tuple[list[str], Array, tuple[str, ...]]:
     if not lines or not any(c.isalpha() for c in lines[0]):
         raise RecordingError("no header", fix="name the columns in the first line", file=path, line=1)
     mark = next((c for c in ",;\t" if c in lines[0]), " ")
-    header = [name.strip() for name in next(csv.reader(lines[:1], delimiter=mark, skipinitialspace=True))]
+    header = header_of(lines[0], mark, path)
     try:  # whole, by numpy; anything else is looked at cell by cell
         body = lines[1:] if len(lines) > 2 else ["none"]
         table = np.loadtxt(body, delimiter=None if mark == " " else mark, comments=None, ndmin=2)
@@ -337,6 +337,26 @@ def read_table(path: Path) -> tuple[list[str], Array, tuple[str, ...]]:
     if len(numbers) < 2:
         raise RecordingError(f"{len(numbers)} rows of numbers", fix="give a recorded motion", file=path)
     return header, np.array(numbers), notes
+
+
+def header_of(line: str, mark: str, path: Path) -> list[str]:
+    """The names in a header (`RecordingError`)."""
+    try:
+        return bounded(next(csv.reader([line], delimiter=mark, skipinitialspace=True)))
+    except (ValueError, csv.Error) as error:
+        raise RecordingError("not a CSV file", why=str(error), file=path, line=1) from None
+
+
+def bounded(names: Iterable[str]) -> list[str]:
+    """Names of columns without blanks around them.
+
+    Raises:
+        ValueError: One is far too long: what is looked for in it would take long.
+    """
+    found = [name.strip() for name in names]
+    if any(len(name) > LONGEST_NAME for name in found):
+        raise ValueError(f"the name of a column has more than {LONGEST_NAME} letters")
+    return found
 
 
 def found_columns(header: Sequence[str], joints: Sequence[str], columns: Columns, path: Path) -> dict[str, int]:
@@ -420,14 +440,14 @@ def read_dataset(folder: Path, robot: Robot, columns: Columns) -> list[Log]:
         what, fix = "a LeRobot dataset", "pip install 'mmnn_pin[export]'"
         raise RecordingError(what, why="the package pyarrow is not installed", fix=fix, file=folder) from None
     try:
-        features = json.loads(read_bytes(folder / DATASET))["features"]
-        files = sorted((folder / "data").rglob("*.parquet"))
-        if sum(map(numbers_in, map(pyarrow.parquet.ParquetFile, files))) > LARGEST / 8:
+        features = parsed_json(read_bytes(folder / DATASET))["features"]
+        files = [pyarrow.parquet.ParquetFile(file) for file in sorted((folder / "data").rglob("*.parquet"))]
+        if sum(map(numbers_in, files)) > LARGEST / 8:
             raise ValueError(f"it unpacks to more than {LARGEST / 1e6:g} MB")
-        table = pyarrow.concat_tables([pyarrow.parquet.read_table(file) for file in files])
+        table = pyarrow.concat_tables([file.read(columns=columns_of_numbers(file)) for file in files])
         time, episode = (table[name].to_numpy() for name in ("timestamp", "episode_index"))
         named = {
-            name: (list(names_of(features[name])), np.array(table[name].to_pylist(), float).reshape(len(time), -1))
+            name: (bounded(names_of(features[name])), np.array(table[name].to_pylist(), float).reshape(len(time), -1))
             for name in table.column_names
             if name.startswith("observation.") and features.get(name, {}).get("dtype", "").startswith("float")
         }
@@ -451,6 +471,12 @@ def numbers_in(file: Any) -> int:
     """How many values a Parquet file has in all of its columns: a kilobyte may hold a billion equal ones."""
     groups = (file.metadata.row_group(k) for k in range(file.metadata.num_row_groups))
     return sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
+
+
+def columns_of_numbers(file: Any) -> list[str]:
+    """Paths of the columns of numbers: of texts, a few bytes may say a billion times the same."""
+    columns = map(file.schema.column, range(len(file.schema)))
+    return [column.path for column in columns if column.physical_type in ("FLOAT", "DOUBLE", "INT32", "INT64")]
 
 
 OF_BASE = {"x.vel": "base.v", "y.vel": "base.vy", "theta.vel": "base.w"}

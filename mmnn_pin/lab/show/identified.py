@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import zlib
@@ -14,7 +13,7 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 
 from ...errors import RecordingError
-from ...files import DENSEST, LARGEST, ROOM, opened, read_bytes
+from ...files import DENSEST, LARGEST, ROOM, opened, parsed_json, read_bytes
 from .figure import TRUTH, Look, add_legend, folded, new_figure, styled, svg
 from .files import HtmlPage, fill_template
 from .table import WIDTH, Cell, CellKind, Column, Table, TextLine, number, row_of, terminal_text
@@ -283,7 +282,7 @@ def page(file: Path, command: str) -> HtmlPage:
         RecordingError: The file, or the curves beside it, cannot be read.
     """
     try:
-        report = json.loads(read_bytes(file, LARGEST))
+        report = parsed_json(read_bytes(file, LARGEST))
         with opened(file.with_suffix(".npz")) as content, ZipFile(content) as archive:
             if sum(part.file_size for part in archive.infolist()) > ROOM + DENSEST * os.fstat(content.fileno()).st_size:
                 raise ValueError("its curves unpack to far more than they should")
@@ -299,7 +298,7 @@ def page(file: Path, command: str) -> HtmlPage:
         points = [*(f"warning: {text}" for text in report.get("warnings", ())), *unidentified(report), *report["notes"]]
         first = headline(report)
     except (
-        *(OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError),
+        *(OSError, ValueError, LookupError, TypeError, AttributeError),
         *(BadZipFile, zlib.error, MemoryError),
     ) as error:
         fix = "run mmnn identify again"

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import msgspec
 
 from ...errors import StudyError
-from ...files import FULL, locked, opened, ours, reason, whole_file
+from ...files import FULL, locked, opened, ours, parsed_json, reason, whole_file
 from ...settings.arguments import wrong_type
 
 FORMAT, VERSION = "mmnn_pin study", 2
@@ -206,7 +206,7 @@ def decoded(line: bytes, number: int, path: Path) -> TrialResult | dict[str, Any
         StudyError: It holds something else than we write.
     """
     try:
-        table = json.loads(line)
+        table = parsed_json(line)
         if isinstance(table, dict) and table.get("format") == FORMAT:
             require_version(table, path)
             msgspec.convert(table, Facts)
@@ -215,7 +215,7 @@ def decoded(line: bytes, number: int, path: Path) -> TrialResult | dict[str, Any
     except msgspec.ValidationError as error:
         (what, fix), where = wrong_type(error), str(error).partition(" - at ")[2].strip("`$.")
         why = ", ".join(filter(None, (f"{where}: {what}" if where else what, fix)))
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         why = str(error)
     else:
         names = {sys.intern(name): value for name, value in found.metrics.items()}

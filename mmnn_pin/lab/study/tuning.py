@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import shlex
 import sqlite3
 import traceback
@@ -48,6 +49,8 @@ from .store import AGAIN, ROOM
 from .worker import loop_of
 
 NAME = "tune.sqlite"
+COMPUTES = re.compile(r"\b(?:VIRTUAL|AS|CHECK|WHERE|DEFAULT)\b", re.IGNORECASE)  # a table of Optuna's has no other
+OWN_CHECK = "CHECK (version_info_id=1)"  # than this
 DATABASE = {"sqlalchemy", "sqlite3", "optuna"}  # packages whose errors are those of a database
 FRESH = 7919  # added to the seed of the draws for those that judge the result
 LOST = 1e12  # value of gains with which too many runs did not complete, times 1 + the share of those
@@ -413,7 +416,9 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
 
 
 def require_tables(file: Path) -> None:
-    """Refuse a database that has more than tables and indexes: a view or a trigger is a program, which may never end.
+    """Refuse a database that has more than tables and indexes of what is stored: others are programs, without end.
+
+    Views, triggers and computed columns are; so are expressions in indexes, in checks and in default values.
 
     Raises:
         StudyError: With its name.
@@ -421,12 +426,13 @@ def require_tables(file: Path) -> None:
     """
     if not file.is_file():
         return
-    others = "SELECT name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'"
     with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=rw", uri=True)) as base:
-        found = base.execute(others).fetchone()
-    if found:
-        what = f"the database has {shortly(found[0])}, which is no table"
-        raise StudyError(what, why="a view or a trigger is run as it is read", fix=AGAIN, file=file)
+        made = base.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
+    for kind, name, sql in made:
+        text = str(sql or "").replace(OWN_CHECK, "")
+        if kind not in ("table", "index") or COMPUTES.search(text) or (kind == "index" and text.count("(") > 1):
+            what = f"the database has {shortly(name)}, which computes what it holds"
+            raise StudyError(what, why="it is run as it is read", fix=AGAIN, file=file)
 
 
 def passed(error: BaseException) -> set[str]:

@@ -75,8 +75,8 @@ FACTORS = {  # what else a controller multiplies them by
 }
 SIDES = ("left", "right")
 MOTORS = {"commands": "ros2_control/joint[command_interface]", "transmissions": "transmission/joint"}
-KEY = re.compile(r"['\"]?([^\s'\"{}\[\],]+?)['\"]?\s*:(?:\s+|$)(.*)")
-FLOW = re.compile(r"[{,]\s*['\"]?([^\s'\"{}\[\],:]+)['\"]?\s*:\s*([^{}\[\],]+)")
+KEY = re.compile(r"['\"]?([^\s'\"{}\[\],]{1,200}?)['\"]?\s*:(?:\s+|$)(.*)")  # longer ones no driver has
+FLOW = re.compile(r"[{,]\s*['\"]?([^\s'\"{}\[\],:]{1,200})['\"]?\s*:\s*([^{}\[\],]+)")
 
 
 @dataclass(frozen=True)
@@ -312,10 +312,15 @@ def multipliers(table: YamlTable, key: str, side: str) -> dict[str, float]:
 
 
 class YamlEntry(NamedTuple):
-    """A key of a YAML file: its value as text, the items of a list with blanks between them, and its line."""
+    """A key of a YAML file: its value as words, those of a list on lines of their own, and its line."""
 
-    text: str
+    words: list[str]
     line: int
+
+    @property
+    def text(self) -> str:
+        """The value, the items of a list with blanks between them."""
+        return " ".join(self.words)
 
     @property
     def items(self) -> tuple[str, ...]:
@@ -346,21 +351,20 @@ def mappings_of(file: str | None) -> dict[tuple[str, ...], YamlTable]:
     """The mappings of a controllers' file by the keys above them, each by its own, the last part of those with dots."""
     tables: dict[tuple[str, ...], YamlTable] = {}
     above: list[tuple[int, str]] = []
-    last: tuple[YamlTable, str] | None = None
+    last: YamlEntry | None = None
     for number, line in lines_of(file):
         word, indent = line.strip(), len(line) - len(line.lstrip())
         if word.startswith("- ") and last:
-            table, key = last
-            table[key] = table[key]._replace(text=f"{table[key].text} {word[2:]}")
+            last.words.append(word[2:])
         elif hit := KEY.match(word):
             above = [(i, name) for i, name in above if i < indent]
             path = tuple(name for _, name in above)
-            last = (tables.setdefault(path, {}), hit[1].rpartition(".")[2])
-            last[0][last[1]] = YamlEntry(hit[2].strip(" '\""), number)
+            last = YamlEntry([hit[2].strip(" '\"")], number)
+            tables.setdefault(path, {})[hit[1].rpartition(".")[2]] = last
             above.append((indent, hit[1]))
             inner = tables.setdefault((*path, hit[1]), {})
             for one in FLOW.finditer(hit[2]):
-                inner[one[1].rpartition(".")[2]] = YamlEntry(one[2].strip(" '\""), number)
+                inner[one[1].rpartition(".")[2]] = YamlEntry([one[2].strip(" '\"")], number)
     return tables
 
 

@@ -21,7 +21,7 @@ from .finding import Finding
 
 KEPT = ("links", "joints", "children", "carrier")  # properties of a tree that are read out once
 TEN_TURNS = 20 * math.pi  # a revolute joint with more travel than this [rad] counts as unlimited
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from lxml import etree
 
-from mmnn_pin.errors import RobotError, printable
+from mmnn_pin.errors import RobotError, printable, short
 
 NAMED = 8  # joints at most in one line
 
@@ -139,9 +139,8 @@ def finding(
     """
     severity = "warning" if CODES[code] == "strict" else CODES[code]
     line, about = (at, "") if isinstance(at, int) else (at.sourceline, label(at))
-    return Finding(
-        severity, code, "", line, printable(about if of is None else of), printable(message), why, fix, joint or ""
-    )
+    about, message = (short(printable(text)) for text in (about if of is None else of, message))
+    return Finding(severity, code, "", line, about, message, why, fix, joint or "")
 
 
 def settle(findings: Sequence[Finding], path: Path, strict: bool) -> tuple[Finding, ...]:

@@ -23,6 +23,7 @@ import numpy as np
 from lxml import etree
 
 from ...errors import printable, short
+from ...files import parsed_json
 from ...signals import Array
 from .document import read_numbers
 
@@ -336,9 +337,9 @@ def gltf_tree(file: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON of a glTF file, and what follows it in a GLB file."""
     data = file.read_bytes()
     if file.suffix.lower() == ".gltf":
-        return json.loads(data), b""
+        return parsed_json(data), b""
     end = 20 + int.from_bytes(data[12:16], "little")
-    return json.loads(data[20:end]), data[end:]
+    return parsed_json(data[20:end]), data[end:]
 
 
 def gltf_problem(file: Path) -> str:
@@ -346,7 +347,7 @@ def gltf_problem(file: Path) -> str:
     try:
         stated = msgspec.convert(gltf_tree(file)[0], Gltf)
         room = sum(one.count * BYTES[one.componentType] * NUMBERS[one.type] for one in stated.accessors)
-    except (ValueError, KeyError, RecursionError) as error:
+    except (ValueError, KeyError) as error:
         return f"not a whole glTF file ({' '.join(str(error).split())})"
     counts: dict[int | None, int] = dict(enumerate(one.count for one in stated.accessors))
     parts = [len(mesh.primitives) for mesh in stated.meshes]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import resource
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from motions import simulated
 
 from mmnn_pin import load
 from mmnn_pin.cli import main
-from mmnn_pin.deploy.identify.bag import JOINTS
+from mmnn_pin.deploy.identify.bag import JOINTS, READ
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.reading import read_logs
 from mmnn_pin.errors import RecordingError
@@ -190,3 +192,64 @@ def test_a_dataset_of_a_billion_equal_numbers_is_refused(arm: Robot, tmp_path: P
     assert (tmp_path / "data" / "a.parquet").stat().st_size < 10**7
     with pytest.raises(RecordingError, match=f"{TOO_LARGE} 500 MB"):
         read_logs([tmp_path], arm)
+
+
+def test_texts_of_a_dataset_are_not_unpacked(arm: Robot, tmp_path: Path) -> None:
+    """Half a megabyte of them may be 200 GB."""
+    pyarrow = pytest.importorskip("pyarrow", reason="pip install 'mmnn_pin[export]'")
+    parquet, rows = pytest.importorskip("pyarrow.parquet"), 200_000
+    texts = pyarrow.DictionaryArray.from_arrays(np.zeros(rows, np.int32), ["x" * 1_000_000])
+    state = pyarrow.FixedSizeListArray.from_arrays(np.zeros(2 * rows, np.float32), 2)
+    columns = {"timestamp": 0.01 * np.arange(rows), "episode_index": np.zeros(rows, np.int64)}
+    for name in ("data", "meta"):
+        (tmp_path / name).mkdir()
+    names = [f"{joint}.pos" for joint in arm.joint_names]
+    about = {"observation.state": {"dtype": "float32", "names": names}}
+    (tmp_path / "meta" / "info.json").write_text(json.dumps({"features": about}))
+    table = pyarrow.table(columns | {"task": texts, "observation.state": state})
+    parquet.write_table(table, tmp_path / "data" / "a.parquet", store_schema=False)  # which says that they are equal
+    before = pyarrow.total_allocated_bytes()
+    with pytest.raises(RecordingError, match="it has no efforts at all"):
+        read_logs([tmp_path], arm)
+    assert pyarrow.default_memory_pool().max_memory() - before < 100_000_000
+
+
+# -- types -------------------------------------------------------------------------------------------------------------
+
+LARGE = (
+    "module x { module msg { module Y_Constants { const uint32 A = 1 << 9999999999; }; struct Y { uint32 a; }; }; };"
+)
+
+
+def test_definitions_of_a_bag_are_not_read(arm: Robot, tmp_path: Path) -> None:
+    """They are expressions: this one is a number of a gigabyte."""
+    writer = pytest.importorskip("mcap.writer", reason="pip install 'mmnn_pin[export]'")
+    with (tmp_path / "a.mcap").open("wb") as file:
+        (bag := writer.Writer(file)).start("ros2")
+        topic = bag.register_channel("/y", "cdr", bag.register_schema("x/msg/Y", "ros2idl", LARGE.encode()))
+        bag.add_message(topic, 0, bytes(8), 0)
+        bag.finish()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(RecordingError, match=re.escape("a bag without joint states: it has /y (x/msg/Y)")):
+        read_logs([tmp_path / "a.mcap"], arm)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000  # kB
+
+
+def test_messages_are_those_of_every_ros_2(arm: Robot) -> None:
+    from rosbags.typesys import Stores, get_typestore
+
+    stores = [get_typestore(store) for store in Stores if store.name.startswith("ROS2")]
+    assert len(stores) > 5 and all(len({store.hash_rihs01(name) for store in stores}) == 1 for name in READ)
+
+
+def test_a_bag_with_other_messages_than_those_of_ros_is_refused(arm: Robot, log: Log, tmp_path: Path) -> None:
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg("float64[] position\n", JOINTS))
+    with Writer(tmp_path / "a.bag") as writer:
+        topic = writer.add_connection("/joint_states", JOINTS, typestore=store)
+        writer.write(topic, 5, store.serialize_ros1(store.types[JOINTS](np.zeros(2)), JOINTS))
+    with pytest.raises(RecordingError, match=f"its {JOINTS} is another than that of ROS"):
+        read_logs([tmp_path / "a.bag"], arm)
