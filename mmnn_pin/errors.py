@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import copy
 import difflib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 LONGEST = 1000  # letters of a name or value in a message
+FEW = 8  # names in a message
 
 
 def printable(text: str, keep: str = "") -> str:
@@ -30,6 +31,11 @@ def printable(text: str, keep: str = "") -> str:
 def short(text: str, most: int = LONGEST) -> str:
     """The text as a message repeats it, in so many letters: a file in the place of a name would fill the screen."""
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def few(names: Sequence[str], most: int = FEW) -> str:
+    """Names as a message tells them: so many at most, and how many more there are."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 class MmnnError(Exception):
@@ -170,9 +176,8 @@ class UnknownName(InputError, KeyError):  # a KeyError, so that `get` of a mappi
         self.kind, self.name, self.available = kind, name, tuple(available)
         near = difflib.get_close_matches(name, self.available, n=1)
         guess = f"did you mean '{near[0]}'? " if near else ""
-        many = len(self.available) - SHOWN
-        names = ", ".join(self.available[:SHOWN]) + (f" and {many} more" if many > 0 else "")
-        super().__init__(f"unknown {kind} '{name}'", fix=f"{guess}there is: {names}", file=file, key=key)
+        fix = f"{guess}there is: {few(self.available, SHOWN)}"
+        super().__init__(f"unknown {kind} '{name}'", fix=fix, file=file, key=key)
 
 
 class UnknownArgument(UnknownName, TypeError):  # as Python has it for functions without a check

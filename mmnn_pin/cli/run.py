@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import InputError
+from ..errors import InputError, few
 from ..files import read_toml
 from .options import (
     CHANGES,
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 ROBOT = click.option(
     "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
 )
-MOST = 8  # names of cases that a line of `mmnn list` shows
 
 
 @click.command(
@@ -342,8 +341,7 @@ def list_text(there_is: dict[str, dict[str, Any]], width: int) -> str:
     titles = dict(there_is["experiments"])
     for option in ("variant", "case"):
         for name, known in there_is[f"{option}s"].items():
-            shown = [*known[:MOST], "..."] if len(known) > MOST else known
-            titles[name] += f" (--{option} {', '.join(shown)})" if known else ""
+            titles[name] += f" (--{option} {few(known)})" if known else ""
     groups: dict[str, dict[str, str]] = {"experiments": titles}
     for name, file in there_is["robots"].items():
         folder = robot_folder(Path(file))

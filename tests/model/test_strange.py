@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from test_base import MOVE, four, wheel
 from test_wild import codes, drive_of, star, tyre
 
-from mmnn_pin.errors import ConfigError, InputError, RobotError
+from mmnn_pin.errors import ConfigError, InputError, RobotError, UnknownName
 from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.loading import load
 from mmnn_pin.model.urdf.meshes import BrokenMesh, meshes_of, vertices_of
@@ -441,7 +441,7 @@ def test_a_macro_of_a_package_that_is_missing_can_be_left_out(tmp_path):
     assert robot.base.kind == "differential_drive" and "left out: cam" in str(robot.findings)
     assert "the robot lacks what these macros make, and what hangs on it: lens_joint" in str(robot.findings)
     assert "lens" not in robot.urdf  # it hung on what was left out
-    with pytest.raises(ConfigError, match="no <xacro:dog> to leave out"):
+    with pytest.raises(UnknownName, match=r"unknown macro 'dog': there is: cam$"):
         load(file, without=("cam", "dog"))
     with pytest.raises(ConfigError, match="nothing to expand"):
         plain = tmp_path / "plain.urdf"

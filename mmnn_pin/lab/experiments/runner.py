@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from ...errors import RecordingError
+from ...errors import RecordingError, few
 from ...loop.servo import EFFORT, hidden_torques, needs_torques
 from ...loop.suited import tightest
 from ...model.inspection import interfaces_of as offered_by
@@ -163,9 +163,8 @@ def interface_notes(experiment: Experiment, robot: Robot) -> list[str]:
     end = "; all others by effort" if others else alike if hidden is not None and hidden.all() else ""
     found = [f"driven {'; '.join(driven)}{end}"] if driven else []
     if unoffered:
-        many = f"{unoffered[0]} and {len(unoffered) - 1} more" if len(unoffered) > 1 else unoffered[0]
         fix = f"--hardware {proposed(robot)} drives each as offered"
-        found.append(f"the URDF offers no torque at {many}, this run uses it; {fix}")
+        found.append(f"the URDF offers no torque at {few(unoffered, 1)}, this run uses it; {fix}")
     return found
 
 

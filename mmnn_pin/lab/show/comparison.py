@@ -192,10 +192,11 @@ def notes_of(result: Result) -> tuple[str, ...]:
     notes = []
     if len(result.recordings) - len(oracles) > 1:
         told = 0 < len(result.lost) < len(result.recordings)
-        out = " and ".join([*oracles[:1], *["runs that are lost"] * told])
+        knowing = [f"{name}, which knows the true model," for name in oracles]
+        out = " and ".join([*knowing, *["runs that are lost"] * told])
         are = "do" if told else "does"
         notes.append(f"* best in its row; {out} {are} not compete." if out else "* best in its row.")
-    if oracles:
+    elif oracles:
         notes.append(f"{oracles[0]} knows the true model.")
     if any(name in MODELS for name in result.recordings):
         notes.append("A learned share in brackets is a model's, not learned.")

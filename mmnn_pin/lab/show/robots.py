@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...errors import few
 from ...model.arm import WHY
 from ...model.checks.nonholonomy import RANK_TOLERANCE
 from ...model.checks.properties import BOUNDS, CheckReport, check
@@ -122,7 +123,7 @@ def names_in(names: Sequence[str], room: int) -> str:
     """Names, one after the other, as many as there is room for, and how many more there are."""
     shown = [one_line(name) for name in names]
     kept = next((k for k in range(len(shown), 1, -1) if len(", ".join(shown[:k])) <= room), 1)
-    return ", ".join(shown[:kept]) + (f" and {len(shown) - kept} more" if kept < len(shown) else "")
+    return few(shown, kept)
 
 
 def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
-from ...errors import printable
+from ...errors import few, printable
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
@@ -66,7 +66,6 @@ class Row:
 
 NAMED = re.compile(r"'[^']*'")
 SPECIFIC = re.compile(r"'[^']*'|[-+0-9.e]*[0-9][-+0-9.e]*")  # names and numbers in a line
-MOST_NAMED = 8  # names of further lines of a kind
 
 
 @dataclass(frozen=True)
@@ -166,7 +165,7 @@ def alike(lines: Iterable[str], least: int = 3) -> list[str]:
             found += kind
             continue
         names = list(dict.fromkeys(name for line in kind[1:] for name in NAMED.findall(line)))
-        of = f": {', '.join(names[:MOST_NAMED])}{', ...' * (len(names) > MOST_NAMED)}" if names else ""
+        of = f": {few(names)}" if names else ""
         found.append(f"{kind[0]} (and {len(kind) - 1} more like it{of})")
     return found
 

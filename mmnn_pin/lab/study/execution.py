@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from ... import __version__
-from ...errors import InputError, MmnnError, StudyError
+from ...errors import InputError, MmnnError, StudyError, few
 from ...loop.batch import needed_bytes
 from ...recording.metrics import Reducer, metrics
 from ...recording.versions import versions
@@ -134,8 +134,8 @@ def changed_settings(store: Store, plan: StudyPlan, kept: int) -> StudyError:
     settings = {k: v for k, v in msgspec.to_builtins(plan.study.settings).items() if k not in COSMETIC}
     old = {k: v for k, v in before["settings"].items() if k not in COSMETIC}
     different = [*differences(old, settings), *differences(before["experiment"], plan.table, "experiment.")]
-    what = ", ".join(different[:4]) + (f" and {len(different) - 4} more" if len(different) > 4 else "")
-    why = f"changed: {what or 'a file of the robot'}; {kept} of {rows} stored rows are also in the new study"
+    changed = few(different, 4) or "a file of the robot"
+    why = f"changed: {changed}; {kept} of {rows} stored rows are also in the new study"
     fix = "--force keeps these and drops the others; or choose another folder with --out"
     return StudyError("the study has other settings than its results", why=why, fix=fix, file=store.path)
 

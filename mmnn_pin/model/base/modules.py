@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...elementary.matrices import product
-from ...errors import ConfigError, UnknownName
+from ...errors import ConfigError, UnknownName, few
 from ...signals import Array
 from ..signs import Sign
 from ..urdf.document import Joint
@@ -217,7 +217,7 @@ def roles_for(rest: AtRest, m: Module, under: Undercarriage, overrides: Override
 
 def signs_of(rest: AtRest, some: Sequence[Module], role: str, under: Undercarriage) -> Iterator[Sign]:
     """Signs that some modules that look alike have a role, and against it."""
-    names, place = ", ".join(f"'{m.joint.name}'" for m in some), ROLES.index(role)
+    names, place = few([f"'{m.joint.name}'" for m in some], 2), ROLES.index(role)
     for what, detail in dict.fromkeys(seen_of(rest, some, under)):
         if weight := WEIGHTS[what][place]:
             yield Sign(f"{what}{detail}: {names}", weight, some[0].joint.line, some[0].joint.name)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import RobotError, printable
+from ...errors import RobotError, few, printable
 from ...signals import Array
 from ..arm import WHY, Arm
 from ..signs import MARGIN, Sign, score, told_apart
@@ -47,7 +47,6 @@ TELLS = 3.5  # least margin of forward that tells where left and right speak aga
 HUGE = 20.0  # [m], no robot has a larger track
 SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
 OFF_FLOOR = 0.02  # wheels further than this fraction of their radius from the footprint are told
-MOST_NAMES = 8  # joints that a note names; what was understood of the robot lists all
 
 # Codes by severity; docs/reference/urdf-audit.md tells each with its reason.
 SEVERITIES = {
@@ -237,11 +236,6 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
         text, why = f"{few(list(map(str, arm.broken)))} cannot be read", "its groups tell nothing of the arm"
         notes.append(note(rest, "arm-srdf", "", text, why, "correct it, or remove it", "arm"))
     return notes
-
-
-def few(names: Sequence[str]) -> str:
-    """Names, one after the other, at most so many, and how many more there are."""
-    return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
 
 
 def weak_notes(rest: AtRest, names: Sequence[str], held: Array, limits: Array) -> list[Finding]:

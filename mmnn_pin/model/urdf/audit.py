@@ -19,6 +19,7 @@ import numpy as np
 from lxml import etree
 
 from ...elementary.matrices import product
+from ...errors import few
 from ...signals import Array
 from .document import Joint, LinkTree, largest, number, number_problem, numbers, placement, read_numbers
 from .finding import Finding, finding
@@ -680,7 +681,7 @@ def no_inertials(tree: LinkTree) -> Iterator[Finding]:
         if link.find("inertial") is None and not (name in tree.carrier and tree.carrier[name].moves)
     ]
     if bare:
-        names = ", ".join(f"'{link.get('name')}'" for link in bare[:8]) + (", ..." if len(bare) > 8 else "")
+        names = few([f"'{link.get('name')}'" for link in bare])
         what = f"{len(bare)} link(s) without <inertial>: {names}"
         yield finding("no-inertial", bare[0], what, "assumed: massless", "none needed for mere frames", "")
 

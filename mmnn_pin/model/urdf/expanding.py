@@ -25,6 +25,7 @@ from .packages import FIND, far_package
 COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
 MACRO = re.compile(r"<xacro:macro\s[^<>]*?name=[\"']([^\"']+)[\"']")
 BARE = {"include", "macro", "property", "if", "unless", "insert_block"}  # elements of xacro that old files have bare
+OWN, CALL = BARE | {"arg", "attribute", "call", "element"}, re.compile(r"<xacro:([\w.-]+)")
 HOLDERS = {"robot", "link", "joint", "inertial", "visual", "collision", "geometry"} | {f"xacro:{name}" for name in BARE}
 USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^<>]*?name=[\"']([^\"']+)[\"']")
 CALLED = re.compile(r"\barg\(\s*[\"']([^\"']+)[\"']\s*\)")  # in an expression
@@ -112,6 +113,7 @@ def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, A
             told |= diagnosis(xacro, error, lenient.texts, job)
     texts = lenient.texts.values()
     told["declared"] = sorted(set().union(*(named(texts, pattern) for pattern in (STATED, USED, CALLED))))
+    told["called"] = sorted(named(texts, CALL) - OWN)
     told["prefixes"] = sorted(named(texts, PREFIX) - set(job["arguments"]))
     told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
     return told, data

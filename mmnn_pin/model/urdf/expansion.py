@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from lxml import etree
 
 from ...children import environment
-from ...errors import ConfigError, RobotError, UnknownName
+from ...errors import ConfigError, RobotError, UnknownName, few
 from ...files import read_bytes
 from .audit import KNOWN
 from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
@@ -76,7 +76,7 @@ class Expansion(NamedTuple):
             notes.append(finding("xacro-prefix", 1, what, why, "write them with 'xacro:'"))
         if without:
             why = "you said --without; the robot lacks what these macros make"
-            why += f", and what hangs on it: {', '.join(self.hanging)}" if self.hanging else ""
+            why += f", and what hangs on it: {few(self.hanging)}" if self.hanging else ""
             notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", why))
         return notes
 
@@ -113,8 +113,8 @@ def expand(
         without: Macros whose calls are left out.
 
     Raises:
-        ConfigError: Arguments that are none, a macro to leave out that is never called.
-        UnknownName: An argument that no file declares or uses.
+        ConfigError: Arguments that are none.
+        UnknownName: An argument that no file declares or uses, a macro to leave out that is never called.
         Unexpanded: xacrodoc is not installed, or xacro refuses the file; the reason is in xacro's words.
     """
     job: dict[str, Any] = {"path": str(path), "arguments": arguments_of(given), "without": list(without), "calls": []}
@@ -132,7 +132,7 @@ def expand(
         raise refusal(told, lambda macro: to_leave_out(path, job, macro))
     require_declared(path, job["arguments"], told["declared"])
     if unused := [name for name in without if name not in told["omitted"]]:
-        raise ConfigError(f"no <xacro:{unused[0]}> to leave out", fix="leave out a macro that is called", key="without")
+        raise UnknownName("macro", unused[0], told["called"], file=path, key="without")
     if b"<link" not in data:
         raise macros_only(path, data)
     data, hanging = pruned(data) if without else (data, [])
@@ -239,8 +239,10 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     try:
         ended = subprocess.run(command, input=given, capture_output=True, env=variables, timeout=PATIENCE, check=False)
     except subprocess.TimeoutExpired:
-        why = f"it takes more than {PATIENCE:g} s: does it read a file that is none?"
-        raise Unexpanded("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1) from None
+        why = f"it takes more than {PATIENCE:g} s: is the machine busy, or does it wait for a file?"
+        raise Unexpanded(
+            "xacro cannot expand it", why=why, fix="try again, or mend the file", file=path, line=1
+        ) from None
     head, _, data = ended.stdout.partition(b"\n")
     if ended.returncode or not head:
         slow = ended.returncode == -signal.SIGXCPU

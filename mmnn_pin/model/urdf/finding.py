@@ -8,9 +8,7 @@ from pathlib import Path
 
 from lxml import etree
 
-from mmnn_pin.errors import RobotError, printable, short
-
-NAMED = 8  # joints at most in one line
+from mmnn_pin.errors import FEW, RobotError, few, printable, short
 
 # Severity by code; docs/reference/urdf-audit.md gives the reason of each. `strict`: a warning, with --strict an error.
 CODES = {
@@ -199,11 +197,11 @@ def gathered(findings: tuple[Finding, ...], lockable: set[str] | None) -> tuple[
     if len(empty) < 2:
         return findings
     joints = [f.joint for f in empty]
-    names = ", ".join(f"'{name}'" for name in joints[:NAMED]) + (", ..." if len(joints) > NAMED else "")
-    what = f"each of {len(joints)} bodies that joints move has no mass, nor has what hangs on it: those of {names}"
+    those = few([f"'{name}'" for name in joints])
+    what = f"each of {len(joints)} bodies that joints move has no mass, nor has what hangs on it: those of {those}"
     fix = "give each an <inertial>, or make the joints fixed"
     if lockable is not None and lockable.issuperset(joints):
-        many = len(joints) > NAMED
+        many = len(joints) > FEW
         fix += ", or --lock JOINT each" if many else ", or " + " ".join(f"--lock {name}" for name in joints)
     gathered_one = replace(empty[0], element="", message=what, fix=fix, joint="")
     return tuple(gathered_one if f is empty[0] else f for f in findings if f not in empty[1:])

@@ -25,7 +25,7 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
-from mmnn_pin.lab.show.comparison import brief
+from mmnn_pin.lab.show.comparison import brief, comparison
 from mmnn_pin.lab.show.figure import STYLES, in_the_dark
 from mmnn_pin.lab.show.files import HtmlPage
 from mmnn_pin.lab.show.report import MOST, best_of, command_of, kept_rows, report, result_of, subject
@@ -319,6 +319,20 @@ def test_no_headline_praises_a_run_that_is_lost(peaks: list[float]) -> None:
     assert bool(starred) == (len(drawn) > 1) and (not starred & lost_ones or lost_ones == set(drawn))
     told_out = "runs that are lost do not compete" in table.caption
     assert told_out == (0 < len(lost_ones) < len(drawn))
+
+
+def test_the_caption_names_a_controller_that_knows_the_true_model_once() -> None:
+    robot = load("platform_arm")
+    runs = {name: recorded(robot, name, change=of_size(0.1)) for name in ("pd", "pid", "computed_torque")}
+    lost = {"learned": recorded(robot, "learned", change=of_peak(2.0))}
+    alone = {name: runs[name] for name in ("pd", "computed_torque")}
+    for chosen, said in (
+        (runs, "* best in its row; computed_torque, which knows the true model, does not compete."),
+        (runs | lost, "computed_torque, which knows the true model, and runs that are lost do not compete."),
+        (alone, "computed_torque knows the true model."),
+    ):
+        caption = comparison(result_of(chosen)).caption
+        assert said in caption and caption.count("computed_torque") == 1
 
 
 def test_a_motor_that_cannot_hold_its_joint_is_in_the_headline_and_a_start_far_off_is_not() -> None:
