@@ -184,7 +184,7 @@ def test_who_says_more_counts_more_and_messages_name_the_users_own_file(tmp_path
     assert on(urdf, "ideal").interfaces == {}
     slow = {name: on(urdf, name, "hardware.rate=25.0") for name in (None, "unknown")}  # on top of either
     assert {name: found.time.control_period for name, found in slow.items()} == {None: 0.04, "unknown": 0.04}
-    assert [slow[name].servo.bandwidth[2] for name in slow] == [25.0, 15.0]
+    assert [slow[name].servo.bandwidth[2] for name in slow] == [25.0, 20.0]
     with pytest.raises(
         ConfigError, match=r"--set hardware\.arm\.stifness: error: unknown key 'stifness': did you mean 'stiffness'"
     ):
@@ -269,6 +269,14 @@ def test_hardware_that_cannot_is_refused_and_the_way_out_works(robot, hardware, 
     with pytest.raises(ConfigError, match=text) as refused:
         on(robot, hardware)
     found = on(robot, re.search(r"--hardware (\S+)", refused.value.fix)[1])
+    require_runnable(found, found.load_robot())
+
+
+@needs_data
+@pytest.mark.parametrize("robot", ["so101", "kinova", "ur10"])
+def test_the_profile_of_what_is_not_known_carries_arms_as_they_stand(robot):
+    """`mmnn inspect` advises it to whoever has a robot that no profile names."""
+    found = on(robot, "unknown")
     require_runnable(found, found.load_robot())
 
 
