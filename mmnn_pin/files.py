@@ -36,6 +36,7 @@ LONGEST, DEEPEST = 1_000_000, 32  # bytes of a TOML file; levels of its tables a
 LARGEST = 500_000_000  # bytes of tables of numbers: logs, trajectories
 MOST = 100_000_000_000  # bytes of any file
 DENSEST, ROOM = 64, 1 << 24  # what a file unpacks to: so many times its size, and so many bytes more
+XML = "it is XML, as a robot's URDF is", 'name the robot by --robot FILE, or by robot = "FILE" in the TOML'
 TOML = "mend it: lines are key = value, texts stand in quotes, every bracket is closed"
 PART = r"(?:\"[^\"\n]*+\"|'[^'\n]*+'|[\w-]++)"  # of a key
 DEEP_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*+{PART}(?:[ \t]*+\.[ \t]*+{PART}){{{DEEPEST},}}", re.MULTILINE)
@@ -134,7 +135,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     except ValueError as error:
         line = re.search(r"at line (\d+)", str(error))
         number = int(line[1]) if line else None
-        raise ConfigError("not valid TOML", why=str(error), fix=TOML, file=path, line=number) from error
+        why, fix = XML if text.lstrip().startswith("<") else (str(error), TOML)
+        raise ConfigError("not valid TOML", why=why, fix=fix, file=path, line=number) from error
 
 
 def parsed_toml(text: str) -> dict[str, Any]:

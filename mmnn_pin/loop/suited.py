@@ -29,6 +29,7 @@ import numpy as np
 
 from ..compiled import one_thread
 from ..elementary.matrices import exponential, inverse, product, pseudo_inverse
+from ..errors import TrajectoryError
 from ..kinematic import Kinematic
 from ..model.robot import Robot, speed_limits
 from ..model.tree.twin import terms_of
@@ -383,12 +384,18 @@ class MotorLoad:
                 break
         return found
 
+    def at_rest(self, trajectory: Trajectory, duration: float, enough: float | Array = np.inf) -> Array:
+        """The share that gravity and dry friction alone ask for, as `along` at hardly any pace; its speeds are none."""
+        found = self.along(replace(trajectory, slowness=SLOWEST), duration, enough)
+        found[1] = 0.0
+        return found
+
 
 def tightest(robot: Robot, trajectory: Trajectory, duration: float, share: float) -> str:
     """The limit for which a motion of `followable` is as slow as it is, in words; empty where none asks for it."""
     load = MotorLoad(robot)
     faster = load.along(replace(trajectory, slowness=max(trajectory.slowness / SLOWER, 1.0)), duration)
-    static = load.along(replace(trajectory, slowness=SLOWEST), duration)
+    static = load.at_rest(trajectory, duration)
     over_enough = faster / enough_of(static, share)
     if over_enough.max(initial=0.0) <= 1.0:
         return ""
@@ -426,6 +433,9 @@ def followable(
         duration: Of the run [s].
         share: Of every motor's effort and speed limits; 0 for any.
         trailer: Whether the reference is its trailer's.
+
+    Raises:
+        TrajectoryError: However slow, it is too fast for a motor.
     """
     lower, upper = (limit[robot.arm_index] for limit in (robot.lower, robot.upper))
     given = reference((lower, upper))
@@ -443,7 +453,7 @@ def followable(
     half, centre = (high - low) / 2, np.where(bounded, low + (high - low) / 2, np.clip(0.0, lower, upper))
 
     def held(tried: Trajectory, enough: float = np.inf) -> Array:
-        return load.along(replace(tried, slowness=SLOWEST), duration, enough)
+        return load.at_rest(tried, duration, enough)
 
     best, static = given, held(given)
     for _ in range(TRIALS if static.max(initial=0.0) > share and half.size else 0):
@@ -461,4 +471,12 @@ def followable(
     slowness, enough = to_steer.slowness, enough_of(static, share)
     while slowness < SLOWEST and (load.along(replace(best, slowness=slowness), duration, enough) > enough).any():
         slowness = min(SLOWER * slowness, SLOWEST)
-    return replace(best, slowness=slowness)
+    found = replace(best, slowness=slowness)
+    if slowness >= SLOWEST and (quick := load.along(found, duration)[1]).max(initial=0.0) > 1.0:
+        motor = int(quick.argmax())
+        what = f"the reference is {slowness * quick[motor]:.3g} times as fast as {robot.actuator_names[motor]} can be"
+        fix = "give it in m, rad and s, or give it more time"
+        raise TrajectoryError(
+            what, why=f"slowed down {slowness:g} times it is still too fast", fix=fix, key="reference"
+        )
+    return found

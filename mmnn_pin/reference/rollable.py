@@ -24,7 +24,7 @@ STEP = 0.05  # longest between two nodes [s]
 CLOSE, TURNED = 0.003, 0.01  # errors that weigh as much as one another [m, rad]
 QUICK = 0.4  # changes of the speed that take longer than this, or two samples, are hardly smoothed [s]
 ROUNDS, SETTLED = 30, 1e-7
-MOST_NODES = 40_000
+MOST_NODES = 100_000
 STANDS = 1e-4  # a way between two samples below which it has no direction [m]
 
 
@@ -48,7 +48,9 @@ def grid_of(time: Array) -> tuple[Array, NDArray[np.int64]]:
     """
     counts = np.maximum(np.ceil(np.diff(time) / STEP - 1e-9).astype(int), 1)
     if counts.sum() > MOST_NODES:
-        raise TrajectoryError(f"{counts.sum():,} nodes of {STEP:g} s", fix=f"give at most {MOST_NODES * STEP:g} s")
+        what, why = f"{len(time):,} samples over {time[-1] - time[0]:,.0f} s", "a motion that rolls is sought near them"
+        fix = f"give the time in seconds, at most {MOST_NODES * STEP:,.0f} of them, and at most {MOST_NODES:,} samples"
+        raise TrajectoryError(what, why=why, fix=fix)
     rows = np.append(0, np.cumsum(counts))
     nodes = np.interp(np.arange(rows[-1] + 1), rows, time)
     return nodes, rows

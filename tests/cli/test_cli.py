@@ -572,6 +572,8 @@ def test_unreadable_files_are_told(call: Call, tmp_path: Path) -> None:
 def test_toml_syntax_errors_name_the_line(call: Call, tmp_path: Path) -> None:
     (tmp_path / "x.toml").write_text("robot = 'platform_arm'\nseed = = 3\n")
     assert "x.toml:2: error: not valid TOML" in only_line(call("run", tmp_path / "x.toml")[2])
+    robot = only_line(call("run", Path(__file__).parents[2] / "urdf/platform_arm.urdf")[2])
+    assert "it is XML, as a robot's URDF is: name the robot by --robot FILE" in robot
 
 
 def test_output_below_a_file_cannot_be_written(call: Call) -> None:

@@ -316,11 +316,11 @@ def find_variant(path: Path, variant: str) -> Path:
         UnknownName: It has no such variant.
         ConfigError: It has no variants.
     """
-    known = variants(path)
+    known, own = variants(path), path if path.parent != FOLDER else None
     if not known:
-        raise ConfigError("has no variants", fix="leave --variant out", file=path, key="--variant")
+        raise ConfigError(f"{path.stem} has no variants", fix="leave --variant out", file=own, key="--variant")
     if variant not in known:
-        raise UnknownName("variant", variant, known, file=path, key="--variant")
+        raise UnknownName("variant", variant, known, file=own, key="--variant")
     return known[variant]
 
 

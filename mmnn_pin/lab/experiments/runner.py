@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -17,8 +17,9 @@ from ...model.inspection import interfaces_of as offered_by
 from ...model.robot import Robot, lacking_rotors
 from ...recording.metrics import metrics
 from ...recording.recording import Recording, as_columns
-from ...reference import warnings
+from ...reference import Trajectory, warnings
 from ...reference.steerable import Enlarged
+from ...reference.trajectory import still
 from ...sensing import Sensor
 from ...settings import finite, one_or_each
 from ...settings.arguments import checked
@@ -34,6 +35,7 @@ from .hardware_table import proposed
 from .pushing import pushing_numbers
 from .result import Result
 
+REST, HELD = "'reference.base={type=\"line\", speed=0}'", "'reference.arm=[]'"
 BEYOND = 0.02  # of a joint's range, past its limits, that is told
 
 
@@ -333,11 +335,20 @@ def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
         why = tightest(robot, reference, experiment.time.duration, experiment.reference.share)
         notes.append(f"the reference takes {reference.slowness:.3g} times as long: {why or 'what steers asks for it'}")
     notes += reference.notes
-    end, now = reference.duration, experiment.time.duration
-    if experiment.reference.file and now + experiment.time.control_period < end < np.inf:
-        file = Path(experiment.reference.file).name
-        notes.append(f"{file} goes on to {end:.4g} s, the runs end at {now:g} s: --set time.duration={end:.4g}")
+    if experiment.reference.file:
+        notes += file_notes(experiment, reference, Trajectory.from_csv(robot, experiment.reference.file))
     return notes + (warnings(path.sample(times / reference.slowness)) if path is not None else [])
+
+
+def file_notes(experiment: Experiment, reference: Trajectory, read: Trajectory) -> Iterator[str]:
+    """Notes on what a reference has beside what was read from its file, and on what the runs leave out."""
+    file, end, now = Path(experiment.reference.file).name, reference.slowness * read.duration, experiment.time.duration
+    if now + experiment.time.control_period < end < np.inf:
+        yield f"{file} goes on to {end:.4g} s, the runs end at {now:g} s: --set time.duration={end:.4g}"
+    if still(read.base) and not still(reference.base):
+        yield f"{file} does not move the base: it drives as the experiment says; --set {REST} lets it rest"
+    if all(map(still, read.arm)) and not all(map(still, reference.arm)):
+        yield f"{file} moves no joint of the arm: it moves as the experiment says; --set {HELD} holds it"
 
 
 def hand_notes(experiment: Experiment, robot: Robot) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,14 +27,16 @@ from mmnn_pin import (
     load_experiment,
     run_experiment,
 )
-from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
+from mmnn_pin.errors import ConfigError, RecordingError, TrajectoryError, UnknownName
 from mmnn_pin.lab.experiments.config import bundled, keys_of, kind_at, override, parse_value, recorded_experiment
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.result import Result
 from mmnn_pin.lab.experiments.runner import in_order, limit_notes, reference_notes, weak_notes
+from mmnn_pin.loop.suited import MotorLoad
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recording import as_columns
+from mmnn_pin.reference.trajectory import still
 from mmnn_pin.signals import Layout, Setpoint
 from mmnn_pin.torque.entries import ENTRIES
 
@@ -411,6 +414,45 @@ def test_the_limit_that_is_named_is_the_one_that_makes_it_slow(friction: float) 
     named = "effort_limits" if friction else "speed_limits"
     free = load_experiment("track", [*overrides, f"{named}={[10.0 * limit for limit in limits[named]]}"])
     assert free.trajectory_of(free.load_robot()).slowness < track.trajectory_of(robot).slowness
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows"),
+    [("t,x,y", "0,0,0\n1,0.1,0\n2,0.2,0\n3,0.3,0"), ("t,position.arm_1_joint", "0,0\n1,0.1\n2,0.2\n3,0.2")],
+)
+def test_what_a_file_does_not_move_is_told_and_rests_as_the_note_says(tmp_path: Path, columns: str, rows: str) -> None:
+    (tmp_path / "motion.csv").write_text(f"{columns}\n{rows}\n")
+    texts = [f"reference.file='{tmp_path / 'motion.csv'}'"]
+
+    def noted(*more: str) -> tuple[Trajectory, list[str]]:
+        track = load_experiment("track", [*texts, *more])
+        robot = track.load_robot()
+        reference = track.trajectory_of(robot)
+        return reference, [note for note in reference_notes(track, robot) if "as the experiment says" in note]
+
+    moving, [note] = noted()
+    resting, none = noted(shlex.split(note.partition("--set ")[2])[0])
+    assert not none
+    for reference, still_ones in ((moving, 0), (resting, 1)):
+        parts = reference.arm[:1] if "x" in columns else (reference.base,)
+        assert sum(map(still, parts)) == still_ones
+
+
+@pytest.mark.parametrize("factor", [1.0, 12.0, 1000.0])
+def test_a_motion_in_other_units_is_refused_and_one_that_is_too_fast_is_slowed(tmp_path: Path, factor: float) -> None:
+    t = np.linspace(0.0, 8.0, 81)
+    rows = np.column_stack((t, 0.3 * factor * t, 0.1 * factor * np.sin(t)))
+    np.savetxt(tmp_path / "motion.csv", rows, delimiter=",", header="t,x,y", comments="")
+    texts = [f"reference.file='{tmp_path / 'motion.csv'}'", "speed_limits=[10.0, 10.0, 9.0, 9.0]"]
+    track = load_experiment("track", texts)
+    robot = track.load_robot()
+    if factor == 1000.0:
+        with pytest.raises(TrajectoryError, match="times as fast as wheel_left_joint can be: slowed down 16 times"):
+            track.trajectory_of(robot)
+    else:
+        reference = track.trajectory_of(robot)
+        assert (reference.slowness > 1.0) == (factor > 1.0)
+        assert MotorLoad(robot).along(reference, 8.0)[1].max() <= 1.0
 
 
 def test_a_key_without_its_table_is_told_with_it_and_the_advice_is_a_key() -> None:
