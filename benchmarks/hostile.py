@@ -50,7 +50,7 @@ from mmnn_pin.errors import InputError  # noqa: E402
 from mmnn_pin.recording.recording import recorded_robot  # noqa: E402
 
 MARK = "MMNN_HOSTILE"  # a variable that all processes of one try have
-SIGNALS = {signal.SIGKILL: {-9}, signal.SIGTERM: {-15}, signal.SIGINT: {130}}  # and the exit codes that they end with
+SIGNALS = {signal.SIGKILL: {-9}, signal.SIGTERM: {-15}, signal.SIGHUP: {-1}, signal.SIGINT: {130}}  # and the exit codes that they end with
 STUDY = SHORT.replace("0.04", "0.3")
 TUNING = QUICK_TUNING.replace("0.004", "0.3").replace("0.002", "0.1").replace("points = 2", "points = 8")
 TUNING = TUNING.replace("trials = 2", "trials = 5").replace("check = 2", "check = 4")
@@ -264,7 +264,7 @@ def kills(options: argparse.Namespace) -> list[str]:
         wrong += found
         print(f"{name}: {counts[name]} kills, {len(found)} wrong", file=sys.stderr, flush=True)
     said = ", ".join(f"{count} of `{name}`" for name, count in counts.items())
-    print(f"{counts.total()} kills (SIGKILL, SIGTERM, SIGINT): {said}: {len(wrong)} wrong")
+    print(f"{counts.total()} kills (SIGKILL, SIGTERM, SIGHUP, SIGINT): {said}: {len(wrong)} wrong")
     return wrong
 
 
