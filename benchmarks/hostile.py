@@ -50,7 +50,7 @@ from mmnn_pin.errors import InputError  # noqa: E402
 from mmnn_pin.recording.recording import recorded_robot  # noqa: E402
 
 MARK = "MMNN_HOSTILE"  # a variable that all processes of one try have
-# and the exit codes that they end with
+# What a process is sent, and the exit codes with which it ends.
 SIGNALS = {signal.SIGKILL: {-9}, signal.SIGTERM: {-15}, signal.SIGHUP: {-1}, signal.SIGINT: {130}}
 STUDY = SHORT.replace("0.04", "0.3")
 TUNING = QUICK_TUNING.replace("0.004", "0.3").replace("0.002", "0.1").replace("points = 2", "points = 8")
