@@ -21,10 +21,10 @@ from ...errors import ConfigError
 from ...files import read_bytes
 from ...signals import Array
 from ..signs import Sign, score
-from ..urdf.document import Joint
 from ..urdf.reading import MAX_BYTES
 from ..urdf.shapes import AtRest
 from .evidence import mappings_of
+from .machines import chain
 from .overrides import FORWARD, Overrides
 from .wheels import SLOPPY, TOUCHING, Candidate, coaxial, parallel, rolling
 
@@ -262,10 +262,4 @@ def shoulders(rest: AtRest, drives: Sequence[Candidate]) -> list[Array]:
     """Places (2,) of the first joints on the root's body of chains of three and more: an arm's."""
     used = {j.name for c in drives for j in rest.document.moving_ancestors(c.joint.child)}
     first = [j for j in rest.document.moving_children(rest.document.root_link) if j.name not in used]
-    return [rest.hub(j)[:2] for j in first if reaches(rest, j) > NECK]
-
-
-def reaches(rest: AtRest, joint: Joint) -> int:
-    """Number of joints of the longest chain from a joint."""
-    below = rest.document.moving_children(joint.child)
-    return 1 + max((reaches(rest, j) for j in below), default=0)
+    return [rest.hub(j)[:2] for j in first if len(chain(rest, j)) > NECK]

@@ -34,7 +34,7 @@ from .evidence import DRIVING, motors_named, types_in, words_in
 from .overrides import Overrides
 from .report import in_words, unsupported
 from .steered import STEERED_KINDS
-from .wheels import STEER_NAMES, TOUCHING, TRAIL, Candidate, Candidates, coaxial, parallel, rolling
+from .wheels import STEER_NAMES, TOUCHING, TRAIL, Candidate, Candidates, coaxial, parallel, pivots_above, rolling
 
 TURNED = 0.12  # trail by radius from which the floor turns a wheel (Robile's 10 mm of 51)
 ALIKE = 0.05  # radii that differ by less than this fraction are of wheels of one kind
@@ -156,12 +156,13 @@ def undercarriages(rest: AtRest, candidates: Candidates, overrides: Overrides) -
         Unsupported: A joint steers by its name, about a level axis, or hangs on one that turns without end about one.
     """
     wheels = [c for c in candidates.wheels if c.mount != "leg" and not math.isnan(c.radius)]
-    above = {c.joint.name: pivots_above(rest, c.joint) for c in wheels}
-    fixed = [c for c in wheels if not above[c.joint.name]]
-    groups = dict[str, list[Candidate]]()
+    fixed, groups = list[Candidate](), dict[str, list[Candidate]]()
     for c in wheels:
-        if above[c.joint.name]:
-            groups.setdefault(above[c.joint.name][0].name, []).append(c)
+        pivot = next(iter(pivots_above(rest, c.joint)), None)
+        if pivot is None:
+            fixed.append(c)
+        else:
+            groups.setdefault(pivot.name, []).append(c)
     refuse_level(rest, [c for c in fixed if c.mount == "steering" or (groups and leaning(rest, c))])
     pivots = {name: rest.document.joints[name] for name in groups}
     carriers = {name: next(iter(pivots_above(rest, pivot)), None) for name, pivot in pivots.items()}
@@ -275,12 +276,6 @@ def front_axle(front: Sequence[Candidate], fixed: Sequence[Candidate]) -> bool:
 
 
 # -- pivots ------------------------------------------------------------------------------------------------------------
-
-
-def pivots_above(rest: AtRest, joint: Joint) -> list[Joint]:
-    """Joints about vertical axes that carry a wheel, from it up."""
-    turning = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
-    return [j for j in turning if rest.is_vertical(j)]
 
 
 def leaning(rest: AtRest, c: Candidate) -> bool:

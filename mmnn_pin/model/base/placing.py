@@ -255,7 +255,7 @@ def on_arms(rest: AtRest, wheels: Sequence[Candidate]) -> frozenset[str]:
     motors, found = motors_named(rest), set[str]()
     for c in wheels:
         swivels = c.trail < CLOSE * c.radius  # on an upright joint, as a ball in a housing that turns
-        above = [] if swivels else [j for j in moving_above(rest, c) if not rest.is_vertical(j)]
+        above = [] if swivels else [j for j in moving_above(rest, c.joint) if not rest.is_vertical(j)]
         alone = not any(coaxial(c, o) for o in wheels if o is not c)
         if above and (alone or any(j.name in motors for j in above)):
             found.add(c.joint.name)
@@ -278,6 +278,13 @@ def placed_wheel(c: Candidate, at: Array, forward: Array, left: Array, alike: bo
     x, y = float(product(at, forward)), float(product(at, left))
     sign, heading = (math.copysign(1.0, ahead), 0.0) if alike else (1.0, atan2(beside, ahead))
     return Wheel(c.joint.name, c.radius, sign, y=y, x=0.0 if abs(x) < 1e-12 else x, heading=heading)
+
+
+def in_frame(frame: Array, point: Array) -> tuple[float, float]:
+    """A place in a planar frame [m]."""
+    c, s = cos_sin(float(frame[2]))
+    x, y = float(point[0] - frame[0]), float(point[1] - frame[1])
+    return c * x + s * y, c * y - s * x
 
 
 def in_order(rest: AtRest, names: Sequence[str] | set[str]) -> tuple[str, ...]:
@@ -347,9 +354,10 @@ def idlers(rest: AtRest, base: Base, drives: Sequence[Candidate]) -> list[str]:
     known = {c.joint.name for c in drives}
     ends = [j for j in rest.document.moving_children(rest.document.root_link) if is_endless_end(rest, j)]
     others = [c for c in (wheel_of(rest, j) for j in ends if j.name not in known) if parallel(c, drives[0])]
-    c, s = cos_sin(base.frame[2])
-    beside = [any(abs(product([-s, c], (o.centre - d.centre)[:2])) < d.radius / 2 for d in drives) for o in others]
-    return [o.joint.name for o, close in zip(others, beside, strict=True) if close]
+    at = {c.joint.name: in_frame(base.frame, c.centre)[1] for c in (*drives, *others)}
+    return [
+        o.joint.name for o in others if any(abs(at[o.joint.name] - at[d.joint.name]) < d.radius / 2 for d in drives)
+    ]
 
 
 def require_together(rest: AtRest, drives: list[Candidate]) -> None:
@@ -373,8 +381,7 @@ def weight_in(rest: AtRest, base: Base) -> tuple[float, Array]:
     links = [name for name in rest.document.links if rest.mass(name) > 0]
     mass = math.fsum(rest.mass(name) for name in links)
     centre = sum((rest.mass(name) * rest.centre(name)[:2] for name in links), np.zeros(2)) / (mass or 1.0)
-    c, s = cos_sin(base.frame[2])
-    return mass, product([[c, s], [-s, c]], centre - base.frame[:2])
+    return mass, np.array(in_frame(base.frame, centre))
 
 
 # -- holonomic bases ---------------------------------------------------------------------------------------------------

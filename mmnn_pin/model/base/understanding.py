@@ -39,7 +39,7 @@ from .machines import (
     track_named,
     welded_tracks,
 )
-from .modules import STEERED, Undercarriage, pivots_above, says_steered, undercarriages
+from .modules import STEERED, Undercarriage, says_steered, undercarriages
 from .opinions import calibration, second_opinions
 from .overrides import Overrides, folders_of
 from .placing import (
@@ -86,6 +86,7 @@ from .wheels import (
     is_endless_end,
     is_low,
     moving_above,
+    pivots_above,
     welded_wheels,
     wheel_candidates,
     wheel_of,
@@ -412,7 +413,8 @@ def require_sound_wheels(rest: AtRest, candidates: Candidates, overrides: Overri
     turning = wheels or near
     if turning and (names := propellers(rest, [c.joint for c in turning])):
         raise unsupported(rest, PROPELLERS, f"{names} by their names", ())
-    if candidates.limited and (wheels or any(moving_above(rest, c) for c in candidates.limited) or not machine(rest)):
+    hang = any(moving_above(rest, c.joint) for c in candidates.limited)
+    if candidates.limited and (wheels or hang or not machine(rest)):
         raise undecided_limits(rest, candidates)
     if near and not wheels and not (rest.is_vertical(near[0].joint) and machine(rest)):
         raise not_on_floor(rest, candidates, overrides.package_dirs)

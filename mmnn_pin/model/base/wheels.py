@@ -217,17 +217,17 @@ def near_misses(
     upright = [c for c in found if rest.is_vertical(c.joint)]
     tilted = [c for c in found if not (rest.is_horizontal(c.joint) or c in upright)]
     known, upright, lumpy = ([c for c in some if c.joint.mimics is None] for some in (known, upright, lumpy))
-    hung = [c for c in known if math.isnan(c.radius) and moving_above(rest, c) and steers_at_most(rest, c)]
+    hung = [c for c in known if math.isnan(c.radius) and moving_above(rest, c.joint) and steers_at_most(rest, c)]
     if len(hung) >= ROUND_ABOUT and all(rest.hub(c.joint)[2] <= height_at(rest, LOW) for c in hung):
         return hung
-    standing = [c for c in tilted if abs(c.bottom - floor) <= TOUCHING * c.radius and not moving_above(rest, c)]
+    standing = [c for c in tilted if abs(c.bottom - floor) <= TOUCHING * c.radius and not moving_above(rest, c.joint)]
     lying = [c for c in upright if c.shape not in ("unknown", PARTIAL, LUMPY) and is_axle(rest, c, upright)]
     return alike(known) or standing or lying or alike(lumpy)
 
 
 def sinks_to(rest: AtRest, c: Candidate, ground: float, others: list[Candidate]) -> bool:
     """Whether a wheel hangs less than its radius above the floor, on a rocker or bogie, like one that touches it."""
-    near = c.mount == "" and abs(c.bottom - ground) <= c.radius and moving_above(rest, c)
+    near = c.mount == "" and abs(c.bottom - ground) <= c.radius and moving_above(rest, c.joint)
     return bool(near) and any(parallel(c, o) and abs(c.radius - o.radius) <= SURE * c.radius for o in others)
 
 
@@ -257,14 +257,14 @@ def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[C
     rounds = [c for c in (wheel_of(rest, j) for j in joints) if not math.isnan(c.radius) and steers_at_most(rest, c)]
     ground = min([floor, *(c.bottom for c in rounds)])
     low = [c for c in rounds if abs(c.bottom - ground) <= TOUCHING * c.radius]
-    steered = [c for c in low if moving_above(rest, c)]
+    steered = [c for c in low if moving_above(rest, c.joint)]
     pairs = [c for c in low if any(coaxial(c, o) for o in known + low if o is not c)]
     return low if len(steered) >= ROUND_ABOUT else [c for c in pairs if c not in steered]
 
 
 def steers_at_most(rest: AtRest, candidate: Candidate) -> bool:
     """Whether a body hangs on the root's, or on one joint about a vertical axis there."""
-    above = moving_above(rest, candidate)
+    above = moving_above(rest, candidate.joint)
     return not above or (len(above) == 1 and rest.is_vertical(above[0]))
 
 
@@ -370,7 +370,7 @@ def is_tyre(rest: AtRest, joint: Joint, wheel: Joint) -> bool:
 
 def is_axle(rest: AtRest, candidate: Candidate, others: list[Candidate], steered: bool = False) -> bool:
     """Whether it shares its axis with another and hangs on no turning joint: no wrist of an arm; it may be steered."""
-    above = [j for j in moving_above(rest, candidate) if not (steered and rest.is_vertical(j))]
+    above = [j for j in moving_above(rest, candidate.joint) if not (steered and rest.is_vertical(j))]
     return not above and any(coaxial(candidate, o) for o in others if o is not candidate)
 
 
@@ -380,9 +380,14 @@ def is_round_about(rest: AtRest, candidate: Candidate, others: list[Candidate]) 
     return candidate in low and len(low) >= ROUND_ABOUT
 
 
-def moving_above(rest: AtRest, candidate: Candidate) -> list[Joint]:
-    """Joints that carry a wheel, but for slides."""
-    return [joint for joint in rest.document.moving_ancestors(candidate.joint.child)[1:] if joint.type != "prismatic"]
+def moving_above(rest: AtRest, joint: Joint) -> list[Joint]:
+    """Joints that carry another one, from it up, but for slides."""
+    return [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type != "prismatic"]
+
+
+def pivots_above(rest: AtRest, joint: Joint) -> list[Joint]:
+    """Those about vertical axes."""
+    return [j for j in moving_above(rest, joint) if rest.is_vertical(j)]
 
 
 def on_floor(
@@ -432,7 +437,7 @@ def is_low(rest: AtRest, joint: Joint) -> bool:
     """
     if not is_endless_end(rest, joint) or abs(rest.axis(joint)[2]) > TILTED:
         return False
-    above = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type != "prismatic"]
+    above = moving_above(rest, joint)
     beside = [j for j in rest.document.moving_children(joint.parent) if is_endless_end(rest, j)]
     if above and len(beside) < ROUND_ABOUT:
         return False
@@ -518,13 +523,13 @@ def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float
     A swivel turns without end, or all the way round with the wheel trailing behind it; other such joints steer. More
     than two joints are a leg, fewer without a vertical one, or any that carry other wheels, a rocker: a suspension.
     """
-    above = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
+    above = moving_above(rest, joint)
     beside = [j for j in rest.document.moving_children(joint.parent) if is_endless_end(rest, j)]
     if len(beside) >= ROUND_ABOUT:  # the base hangs on joints of a torso that is the root
         return "", math.inf
     if len(above) > 2 and not any(carries_wheels(rest, j) for j in above):
         return "leg", math.inf
-    upright = next((j for j in above if rest.is_vertical(j)), None)
+    upright = next(iter(pivots_above(rest, joint)), None)
     if upright is None:  # some files write the axis of a steering joint wrong
         return ("steering" if any(STEER_NAMES.search(j.name) for j in above) else ""), math.inf
     trail = math.dist(rest.hub(upright)[:2], wheel.centre[:2])
