@@ -214,7 +214,7 @@ def frame_of(
     base = kind(
         wheels=placed,
         track=track,
-        frame=np.array([*middle, atan2(forward[1], forward[0])]),
+        frame=frame_at(middle, forward),
         floor=float(np.mean([c.bottom for c in drives])),
         casters=in_order(rest, casters_of(rest, drives, wheels) - set(suspensions)),
         suspensions=in_order(rest, suspensions),
@@ -278,6 +278,11 @@ def placed_wheel(c: Candidate, at: Array, forward: Array, left: Array, alike: bo
     x, y = float(product(at, forward)), float(product(at, left))
     sign, heading = (math.copysign(1.0, ahead), 0.0) if alike else (1.0, atan2(beside, ahead))
     return Wheel(c.joint.name, c.radius, sign, y=y, x=0.0 if abs(x) < 1e-12 else x, heading=heading)
+
+
+def frame_at(origin: Array, forward: Array) -> Array:
+    """(3,) control frame at a place, along a direction."""
+    return np.array([origin[0], origin[1], atan2(float(forward[1]), float(forward[0]))])
 
 
 def in_frame(frame: Array, point: Array) -> tuple[float, float]:
@@ -434,7 +439,6 @@ def pushed(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
     text = "the base has no drive wheels: forces and a torque on the root link drive it, without limits"
     if any(c.mount in ("steering", "swivel") for c in candidates.wheels):
         text += "; its wheels slide over the floor, and what steers them stands still"
-    x, y = heading(rest, [], overrides, any_way=True).forward
-    frame = np.array([0.0, 0.0, atan2(float(y), float(x))])
+    frame = frame_at(np.zeros(2), heading(rest, [], overrides, any_way=True).forward)
     base = HolonomicBase(floor=floor, frame=frame, casters=in_order(rest, names))
     return BaseResult(base, (note(rest, "base-pushed", "", text, "you said --base holonomic"),))

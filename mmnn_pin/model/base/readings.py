@@ -20,7 +20,6 @@ from ..signs import MARGIN, Sign, told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .evidence import Evidence
-from .modules import NAMES
 from .report import FORCES, PARKED, BaseReading, BaseResult, note, undecided, unmeasured
 from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, across, coaxial, on_either_side, one_axle, parallel
 
@@ -238,17 +237,13 @@ class Drives:
                 groups.setdefault(("on arms, not on the floor", -0.5), []).append(c)
                 continue
             beside = any(coaxial(c, o) for o in others) and c.joint.mimics is None
-            if any(coaxial(c, d) for d in drives):
-                why, weight = "on the axle, too", -2.0
-            elif alike(c, drives[0]) or c.radius > drives[0].radius:
+            if alike(c, drives[0]) or c.radius > drives[0].radius:
                 why, weight = "wheels as large as those that drive, or larger, which would have to slide", -4.0
             elif beside and c.radius < SMALL * drives[0].radius:  # one alone may steer, and its pivot be left out
                 why, weight = "pairs of small wheels, as casters are", -0.5
             else:
                 why, weight = "wheels that cannot swivel and would have to slide", -2.5
             groups.setdefault((why, weight), []).append(c)
-            if NAMES["called casters"].search(f"{c.joint.name} {c.joint.child}"):
-                groups.setdefault(("called casters", 1.5), []).append(c)
         for (why, weight), some in groups.items():
             yield about(some, why, weight * len(some))
 

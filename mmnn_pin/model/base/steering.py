@@ -23,7 +23,7 @@ from .base import Base, Wheel
 from .heading import heading, left_first
 from .modules import Module, Undercarriage, on_line
 from .overrides import Overrides
-from .placing import casters_of, in_frame, in_order
+from .placing import casters_of, frame_at, in_frame, in_order
 from .report import STILL, BaseResult, note, unsupported
 from .rolling import FOLLOWER, MASTER, PASSIVE, ROLES, Pivot, closed, new_maps, roll
 from .steered import (
@@ -225,11 +225,6 @@ def on_casters(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Stee
 
 
 # -- places ------------------------------------------------------------------------------------------------------------
-
-
-def frame_at(origin: Array, forward: Array) -> Array:
-    """(3,) control frame at a place, along a direction."""
-    return np.array([origin[0], origin[1], atan2(float(forward[1]), float(forward[0]))])
 
 
 def frame_on(rest: AtRest, joint: Joint, heading: float) -> Array:

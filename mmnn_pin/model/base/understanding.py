@@ -319,8 +319,6 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
     if len(legged := [c for c in candidates.wheels if c.mount == "leg"]) >= 2:
         why = f"its wheels hang on legs: {'; '.join(c.text for c in legged)}"
         raise unsupported(rest, "legged machine", why, legged)
-    if overrides.base == "holonomic" and any(c.mount == "steering" for c in candidates.wheels):
-        return pushed(rest, candidates, overrides)
     found = list(base_readings(rest, candidates, overrides))
     if overrides.base == "holonomic" and not found:
         return pushed(rest, candidates, overrides)

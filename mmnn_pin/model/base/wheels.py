@@ -212,14 +212,12 @@ def near_misses(
     """Joints that would be wheels but for one thing: they hang in the air, are tilted, lie, or are not round."""
 
     def alike(some: list[Candidate]) -> list[Candidate]:
-        return [c for c in some if is_axle(rest, c, some) or is_round_about(rest, c, some)]
+        low = [c for c in some if is_low(rest, c.joint)]
+        return [c for c in some if is_axle(rest, c, some) or (c in low and len(low) >= ROUND_ABOUT)]
 
     upright = [c for c in found if rest.is_vertical(c.joint)]
     tilted = [c for c in found if not (rest.is_horizontal(c.joint) or c in upright)]
     known, upright, lumpy = ([c for c in some if c.joint.mimics is None] for some in (known, upright, lumpy))
-    hung = [c for c in known if math.isnan(c.radius) and moving_above(rest, c.joint) and steers_at_most(rest, c)]
-    if len(hung) >= ROUND_ABOUT and all(rest.hub(c.joint)[2] <= height_at(rest, LOW) for c in hung):
-        return hung
     standing = [c for c in tilted if abs(c.bottom - floor) <= TOUCHING * c.radius and not moving_above(rest, c.joint)]
     lying = [c for c in upright if c.shape not in ("unknown", PARTIAL, LUMPY) and is_axle(rest, c, upright)]
     return alike(known) or standing or lying or alike(lumpy)
@@ -372,12 +370,6 @@ def is_axle(rest: AtRest, candidate: Candidate, others: list[Candidate], steered
     """Whether it shares its axis with another and hangs on no turning joint: no wrist of an arm; it may be steered."""
     above = [j for j in moving_above(rest, candidate.joint) if not (steered and rest.is_vertical(j))]
     return not above and any(coaxial(candidate, o) for o in others if o is not candidate)
-
-
-def is_round_about(rest: AtRest, candidate: Candidate, others: list[Candidate]) -> bool:
-    """Whether it is one of three or more low on the root's body, whatever their axes."""
-    low = [o for o in others if is_low(rest, o.joint)]
-    return candidate in low and len(low) >= ROUND_ABOUT
 
 
 def moving_above(rest: AtRest, joint: Joint) -> list[Joint]:
