@@ -253,6 +253,12 @@ def test_meshes_are_found_in_the_package_of_the_urdf(tmp_path, name):
     assert locate(name, tmp_path / "arm" / "urdf" / "robot.urdf").file == file.resolve()
 
 
+def test_models_of_gazebo_are_found_in_the_package_of_the_urdf(tmp_path):
+    file, urdf = put(tmp_path / "arm" / "models" / "jaw" / "meshes" / "a.stl"), tmp_path / "arm" / "urdf" / "robot.urdf"
+    assert locate("model://jaw/meshes/a.stl", urdf).file == file.resolve()
+    assert locate("model://jaw/../../secret.stl", urdf).file is None
+
+
 @pytest.mark.parametrize("given", ["packages", "packages/arm"])
 def test_meshes_are_found_in_package_folders(tmp_path, given):
     put(tmp_path / "packages" / "arm" / "meshes" / "a.stl")

@@ -400,11 +400,12 @@ def test_several_vehicles_are_no_base():
         robot_of(CAR.replace("</robot>", front + "</robot>"))
 
 
-def test_two_steered_wheels_on_one_line_are_refused_and_drive_with_their_steering_locked():
+def test_two_steered_wheels_on_one_line_are_refused_and_drive_with_their_steering_locked_by_request_alone():
     text = chassis(steered(0, 0.0, 0.2, 1) + steered(1, 0.0, -0.2, 1) + on_swivel("c", (-0.4, 0, 0.1), 0.04))
     with pytest.raises(Unsupported, match="stand on one line") as error:
         robot_of(text)
-    robot = followed(text, ways_of(error.value.fix)[0])
+    assert "--wheels" not in error.value.fix and followed(text, ways_of(error.value.fix)[0]).base.pushes
+    robot = robot_of(text, wheels=("w0", "w1"))
     assert robot.base.kind == "differential_drive" and {"steer0", "steer1"} <= {*robot.base.suspensions}
 
 

@@ -10,12 +10,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, joint, link, origin, robot_of
+from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, joint, link, origin, robot_of, words
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_base import four
+from lxml import etree
+from test_base import drone, four, rollers, three
 from test_strange import ROBOT, chassis, followed, pair, ways_of, wheel, xacro
-from test_wild import codes
+from test_wild import codes, drive_of
 
 from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.model.base.report import Undecided, Unsupported
@@ -307,10 +308,6 @@ TOE, CAMBER = turned((0.0, 0.0, 1.0), 0.15), turned((1.0, 0.0, 0.0), 0.0873)
         (TOE, ["holonomic", "fixed"]),
         (CAMBER, ["holonomic", "fixed"]),
         (wheel("left", (0, 0.2, 0.1)) + BALL, ["holonomic", "fixed"]),
-        (
-            wheel("left", (0, 0.2, 0.1)) + wheel("right", (0.01, -0.2, 0.1)),
-            ["differential_drive", "holonomic", "fixed"],
-        ),
         (pair() + wheel("back", (-0.25, 0, 0.1)), ["differential_drive", "holonomic", "fixed"]),
     ],
 )
@@ -321,9 +318,9 @@ def test_every_way_out_of_odd_wheels_is_a_way(text, kinds):
     assert [followed(chassis(text), way).base.kind for way in ways_of(error.value.fix)] == kinds
 
 
-def test_wheels_that_are_nearly_on_one_axle_may_be_named():
+def test_two_wheels_that_are_nearly_on_one_axle_are_told():
     text = chassis(wheel("left", (0, 0.2, 0.1)) + wheel("right", (0.01, -0.2, 0.1)))
-    robot = robot_of(text, wheels=("left", "right"))
+    robot = robot_of(text)
     assert "0.01 m apart" in codes(robot)["base-pair"] and robot.base.frame[0] == pytest.approx(0.005)
     assert [w.x for w in robot.base.wheels] == [0.0, 0.0]
     far = text.replace("0.01 -0.2", "0.1 -0.2")
@@ -396,3 +393,138 @@ def test_a_plugin_that_swaps_the_sides_or_names_nothing_is_told(left, right, cod
         return
     found = codes(robot_of(text))
     assert words in found[code] if code else not {"base-sides", "base-stated"} & found.keys()
+
+
+# --- What robots of the eighth sample have in common ------------------------------------------------------------------
+
+
+def shifted(text: str, by: tuple[float, float, float]) -> str:
+    """The same robot, its root link's origin elsewhere in its body."""
+    root = etree.fromstring(text)
+    on_root = [j for j in root.iterchildren("joint") if j.find("parent").get("link") == "base"]
+    for holder in (*on_root, *root.find("link[@name='base']")):
+        place = holder.find("origin")
+        place = etree.SubElement(holder, "origin", xyz="0 0 0") if place is None else place
+        place.set("xyz", words(np.array(place.get("xyz").split(), float) + by))
+    return etree.tostring(root, encoding="unicode")
+
+
+OMNI = [k * 2 * math.pi / 3 for k in range(3)]
+MECANUM = "".join(rollers(name, a) for name, a in {"fl": -0.6, "fr": 0.6, "rl": 0.6, "rr": -0.6}.items())
+PLACES = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
+TREADS = "".join(
+    link(f"{n}_track", 1.0) + joint(f"{n}_weld", "fixed", "base", f"{n}_track", p=(0, y, 0.1))
+    for n, y in (("left", 0.3), ("right", -0.3))
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [chassis(pair() + BALL), four(more=MECANUM), four(more=TREADS), three(OMNI)],
+    ids=["drive", "mecanum", "tracks", "omni"],
+)
+@given(PLACES)
+@settings(max_examples=10, deadline=None)
+def test_a_robot_reads_the_same_wherever_its_root_has_its_origin(text, by):
+    here, there = robot_of(text), robot_of(shifted(text, by))
+    assert there.base.kind == here.base.kind and there.joint_names == here.joint_names
+    assert [w.joint for w in there.base.wheels] == [w.joint for w in here.base.wheels]
+    assert [(w.x, w.y, w.radius) for w in there.base.wheels] == [
+        pytest.approx((w.x, w.y, w.radius), abs=1e-9) for w in here.base.wheels
+    ]
+    assert there.base.casters == here.base.casters and there.base.locked == here.base.locked
+    assert np.subtract(there.base.frame, here.base.frame) == pytest.approx((*by[:2], 0.0), abs=1e-9)
+
+
+@given(PLACES)
+@settings(max_examples=10, deadline=None)
+def test_a_drone_and_two_endless_joints_are_refused_wherever_the_root_has_its_origin(by):
+    with pytest.raises(Unsupported, match="drone"):
+        robot_of(shifted(drone().replace("frame", "base"), by))
+    odd = drive_of("", 0.2, 0.1).replace('<axis xyz="0.0 1.0 0.0"/>', '<axis xyz="1 0 0"/>')
+    with pytest.raises(Undecided, match="2 wheel"):
+        robot_of(shifted(odd.replace('xyz="0 1 0"', 'xyz="1 0 0"'), by))
+
+
+def test_three_wheels_with_rollers_stand_on_the_floor_though_the_body_and_its_frame_are_lower():
+    rims = "".join(rollers(f"w{i}", 0.0, radius=0.06) for i in range(3))
+    text = (
+        three(OMNI)
+        .replace("</robot>", f"{rims}</robot>")
+        .replace('<box size="0.3 0.2 0.1"/>', '<mesh filename="gone.stl"/>')
+    )
+    low = shifted(text.replace("<inertial>", '<inertial><origin xyz="0 0 -0.3"/>', 1), (0.0, 0.0, 0.1))
+    robot = robot_of(low)
+    assert robot.base.kind == "holonomic" and len(robot.base.wheels) == 3 and robot.joint_names == ("shoulder", "elbow")
+
+
+def walker(hinges: int) -> str:
+    """Two limbs of so many hinges, four wheels under each."""
+    text = ""
+    for side, y in (("left", 0.2), ("right", -0.2)):
+        above = "base"
+        for k in range(hinges):
+            text += link(f"{side}{k}", 0.5)
+            text += joint(
+                f"{side}_hinge{k}", "revolute", above, f"{side}{k}", p=(0, 0 if k else y, 0.1), more=LIMIT.format(-1, 1)
+            )
+            above = f"{side}{k}"
+        height = 0.05 - 0.1 * hinges
+        text += "".join(
+            wheel(f"{side}_w{i}", (x, 0, height), radius=0.05, parent=above)
+            for i, x in enumerate((-0.3, -0.1, 0.1, 0.3))
+        )
+    return chassis(text)
+
+
+def test_limbs_of_three_hinges_with_wheels_under_their_feet_are_legs_and_rockers_are_none():
+    with pytest.raises(Unsupported, match="its wheels hang on legs"):
+        robot_of(walker(3))
+    assert robot_of(walker(1), base="tracked").base.kind == "tracked"
+
+
+def test_a_hinge_with_stops_is_no_rotor_whatever_it_is_called():
+    text = f'<robot name="r">{link("base", 5.0)}{ARM}</robot>'
+    swings = text.replace("fore", "fore_rotor")
+    assert robot_of(swings).joint_names == ("shoulder", "elbow")
+    with pytest.raises(Unsupported, match="drone"):
+        robot_of(swings.replace('"revolute"', '"continuous"'))
+
+
+@pytest.mark.parametrize("shape", ["ball", "roll"])
+def test_a_ball_of_a_mesh_does_not_drive_though_a_transmission_turns_it(tmp_path, shape):
+    body = trimesh.creation.icosphere(3, 0.03) if shape == "ball" else trimesh.creation.cylinder(0.03, height=0.03)
+    body.apply_transform(trimesh.transformations.rotation_matrix(math.pi / 2, (1, 0, 0)))
+    body.export(tmp_path / "b.stl")
+    third = link("b_link", 0.1, 1e-4, '<mesh filename="b.stl"/>') + joint(
+        "b", "continuous", "base", "b_link", p=(0.3, 0, 0.03)
+    )
+    motors = "".join(f'<transmission name="t{n}"><joint name="{n}"/></transmission>' for n in ("left", "right", "b"))
+    text = chassis(pair() + third + motors)
+    if shape == "ball":
+        robot = robot_of(text, tmp_path / "r.urdf")
+        assert [w.joint for w in robot.base.wheels] == ["left", "right"] and "b" in robot.base.casters
+        return
+    with pytest.raises(Undecided, match="with motors, and would not drive: 'b'"):
+        robot_of(text, tmp_path / "r.urdf")
+
+
+def test_where_wheels_roll_along_no_axis_of_the_root_left_and_right_are_asked_for():
+    def turned_by(yaw: float) -> str:
+        c, s, lying = (
+            math.cos(yaw),
+            math.sin(yaw),
+            origin(pin.rpy.rpyToMatrix(0, 0, yaw) @ pin.rpy.rpyToMatrix(math.pi / 2, 0, 0)),
+        )
+        drives = "".join(
+            link(f"{n}_link", 1.0, 0.02, CYLINDER.format(r=0.1), lying)
+            + joint(n, "continuous", "base", f"{n}_link", p=(0, y, 0.1), axis=(-s, c, 0))
+            for n, y in (("left", -0.2), ("right", 0.2))
+        )
+        return chassis(drives + BALL)
+
+    assert robot_of(turned_by(0.0)).base.frame[2] == 0.0  # x of the root link weighs more than names
+    with pytest.raises(AuditError, match="does the robot drive along x") as error:
+        robot_of(turned_by(0.07))
+    robot = followed(turned_by(0.07), {"forward": "-x"})
+    assert [w.joint for w in robot.base.wheels] == ["left", "right"] and "--forward -x" in error.value.fix

@@ -22,14 +22,16 @@ from ...files import read_bytes
 from ...signals import Array
 from ..signs import Sign, score
 from ..urdf.reading import MAX_BYTES
-from ..urdf.shapes import AtRest
+from ..urdf.shapes import HORIZONTAL, AtRest
 from .evidence import mappings_of
 from .machines import chain
 from .overrides import FORWARD, Overrides
 from .wheels import SLOPPY, TOUCHING, Candidate, coaxial, parallel, rolling
 
 CONVENTION, SAID_SIDES, SIDES, ENDS, RATES, VIEW, PLACE, ARM, CASTERS = 4.5, 4.0, 3.0, 4.0, 1.5, 2.0, 0.7, 0.7, 0.7
-DRAWN = 2.5  # weight of x in the place of CONVENTION where a drawing program wrote the file: its axes are the drawing's
+# Weight of x in the place of CONVENTION where a drawing program wrote the file, whose axes are the drawing's, and where
+# the wheels roll along neither x nor y.
+DRAWN = 2.5
 CROSSED = 3.0  # likewise where wheels roll in several directions: two of thirteen public robots drive along y
 DRAWERS = re.compile(rb"solidworks|sw_urdf_exporter|fusion2urdf|onshape", re.IGNORECASE)  # at the head of their files
 TURNS = "positive rates of the wheels"
@@ -180,8 +182,9 @@ def arrows(rest: AtRest, drives: Sequence[Candidate], controllers: str | None, a
     least = min((c.radius for c in drives if not math.isnan(c.radius)), default=0.0) / 2
     near = [name for name in rest.document.links if len(rest.document.moving_ancestors(name)) <= 1]
     at = {name: rest.placements[name][:2, 3] - middle for name in near}
-    crossed = len(ways_of(drives, any_way)) > 2
-    weight = DRAWN if is_drawn(rest) else CROSSED if crossed else CONVENTION
+    ways = ways_of(drives, any_way)
+    crossed, oblique = len(ways) > 2, min(abs(ways[0])) > HORIZONTAL
+    weight = DRAWN if oblique or is_drawn(rest) else CROSSED if crossed else CONVENTION
     yield Arrow("x of the root link", np.array([1.0, 0.0]), weight)
     yield from sides(rest, drives, middle, controllers, at)
     ends = [(FRONT.search(name), REAR.search(name), place) for name, place in at.items()]

@@ -60,7 +60,9 @@ def machine(rest: AtRest) -> tuple[str, str] | None:
     if joints := list(rotors(rest)):
         return "drone", f"{len(joints)} equal rotors turn about vertical axes ({', '.join(joints)})"
     meshes = map(mesh_name, rest.document.root.iterfind(MESHES))
-    if hit := DRONE_NAMES.search(" ".join([rest.document.root.get("name", ""), *rest.document.links, *meshes])):
+    swings = {j.child for j in rest.document.joints.values() if j.moves and not j.turns_freely}
+    links = [name for name in rest.document.links if name not in swings]
+    if hit := DRONE_NAMES.search(" ".join([rest.document.root.get("name", ""), *links, *meshes])):
         return "drone", f"'{hit[0]}' in its names, and nothing that carries it"
     return None
 
@@ -112,7 +114,7 @@ def track_named(rest: AtRest) -> str:
 def welded_tracks(rest: AtRest) -> str:
     """Names of links on both sides of the root's body that tell that it runs on tracks, empty where there are none."""
     body = rest.document.body(rest.document.root_link)[1:]
-    named = [(name, float(rest.placements[name][1, 3])) for name in body if TRACK_NAMES.search(name)]
+    named = [(n, float(rest.placements[n][1, 3] - rest.middle[1])) for n in body if TRACK_NAMES.search(n)]
     sided = [[name for name, y in named if side * y > 0] for side in (1, -1)]
     return f"'{sided[0][0]}' and '{sided[1][0]}' on its sides" if all(sided) else ""
 
@@ -228,11 +230,11 @@ def rotors(rest: AtRest) -> Iterator[str]:
     document = rest.document
     turning = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_vertical(j)]
     turning = [j for j in turning if not document.moving_children(j.child)]
-    if len(turning) < ROTORS or any(document.moving_children(j.child) for j in turning):
+    if len(turning) < ROTORS:
         return
     hubs = np.array([rest.hub(j) for j in turning])
     masses = np.array([rest.mass(j.child) for j in turning])
+    around = length(hubs.mean(axis=0)[:2] - rest.middle[:2]) < 0.3 * np.ptp(hubs[:, :2], axis=0).max()
     level = np.ptp(hubs[:, 2]) < 0.1 * np.ptp(hubs[:, :2], axis=0).max()
-    around = np.linalg.norm(hubs[:, :2].mean(axis=0)) < 0.3 * np.linalg.norm(hubs[:, :2], axis=1).max()
     if level and around and np.ptp(masses) <= 0.1 * masses.max():
         yield from (joint.name for joint in turning)

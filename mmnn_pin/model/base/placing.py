@@ -74,7 +74,7 @@ def on_wheels(
     if not coaxial(*drives):
         apart = abs(base.wheels[0].x - base.wheels[1].x)
         text = f"the two wheels are not on one axle: {apart:.3g} m apart along the rolling direction"
-        why, fix = "they are taken as on one, in the middle: you named them", "put their joints on one line"
+        why, fix = "they are taken as on one, in the middle", "put their joints on one line"
         notes.append(note(rest, "base-pair", first, text, why, fix))
         base = replace(base, wheels=tuple(replace(w, x=0.0) for w in base.wheels))
     if overrides.wheels and left != overrides.wheels[0]:

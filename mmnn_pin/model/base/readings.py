@@ -186,7 +186,7 @@ class Drives:
     def kinds(self, drives: Sequence[Candidate]) -> list[str]:
         """Kinds of base that some wheels can make by their places."""
         if len(drives) == 2:
-            near = SLOPPY if self.named else COAXIAL
+            near = SLOPPY if self.named or len(self.fixed) == 2 else COAXIAL
             pair = ["differential_drive"] if coaxial(*drives, within=near) else []
             tracked = pair and (self.said == "tracked" or (self.belts and not self.named))
             return pair + (["tracked"] if tracked else [])
@@ -249,7 +249,8 @@ class Drives:
 
     def of_motors(self, kind: str, drives: Sequence[Candidate], others: Sequence[Candidate]) -> Iterator[Sign]:
         """Signs of motors: what has one drives; of a base whose wheels skid, others may turn along."""
-        powered = [c for c in others if c.joint.name in self.motors and c.joint.name not in self.on_arms]
+        rolling = [c for c in others if c.shape != "sphere" or all(d.shape == "sphere" for d in drives)]
+        powered = [c for c in rolling if c.joint.name in self.motors and c.joint.name not in self.on_arms]
         idle = [c for c in drives if c.joint.name not in self.motors]
         if powered:
             yield about(powered, "with motors, and would not drive", -4.0 * len(powered))

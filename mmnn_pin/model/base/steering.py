@@ -194,8 +194,7 @@ def without_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> St
     if on_line(wheels):
         what = "swerve drive whose wheels stand on one line, about any point of which it could turn"
         why = f"there nothing tells how it moves: {'; '.join(c.text for c in wheels)}"
-        fix = f"--wheels {','.join(c.joint.name for c in left_first(rest, wheels))} drives it with its steering locked"
-        raise unsupported(rest, what, why, wheels, f"{fix}; {STILL}" if len(wheels) == 2 else STILL)
+        raise unsupported(rest, what, why, wheels, STILL)
     forward = heading(rest, wheels, overrides, any_way=True).forward
     frame = frame_at(np.mean([rest.hub(m.joint) for m in steered], axis=0), forward)
     pivots = [placed_pivot(rest, frame, m, ROLES[MASTER], under) for m in steered]

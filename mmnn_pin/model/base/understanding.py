@@ -18,7 +18,6 @@ from itertools import product
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from ...errors import ConfigError, InputError, RobotError
 from ..arm import Arm, choose_arm
@@ -72,9 +71,9 @@ from .report import (
 from .steered import CarLike, DriveWithTrailer, Tricycle
 from .steering import behind_drive, steered_base, steered_kind
 from .wheels import (
+    COAXIAL,
     LUMPY,
     ROUND_ABOUT,
-    SLOPPY,
     TILTED,
     TOUCHING,
     Candidate,
@@ -82,7 +81,6 @@ from .wheels import (
     alike_on_root,
     blind_beside,
     called_wheels,
-    coaxial,
     is_endless_end,
     is_low,
     moving_above,
@@ -228,7 +226,7 @@ def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseR
     """
     result = replace(result, base=with_balls(rest, result.base, overrides))
     base, strays = result.base, strays_of(rest, result.base, overrides)
-    few = len(strays) < ROUND_ABOUT and not mirrored(rest, strays)
+    few = len(strays) < ROUND_ABOUT and not side_by_side(rest, strays)
     if not strays or (not base.columns and overrides.base is None and few):
         return result
     level = [j for j in strays if any(abs(rest.hub(j)[2] - hub) < TOUCHING * r for hub, r in hubs_of(rest, base))]
@@ -287,12 +285,12 @@ def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
         raise undecided(rest, [], why, FORCES, ["holonomic", "fixed"])
 
 
-def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
-    """Whether two joints stand at the same place on either side."""
+def side_by_side(rest: AtRest, joints: list[Joint]) -> bool:
+    """Whether these are two joints, one to the left of the other; their axes may be wrong."""
     if len(joints) != 2:
         return False
-    one, other = rest.hub(joints[0]), rest.hub(joints[1]) * (1.0, -1.0, 1.0)
-    return bool(np.linalg.norm(one - other) < 0.02 * abs(one[1]))
+    x, y, z = rest.hub(joints[0]) - rest.hub(joints[1])
+    return max(abs(x), abs(z)) < COAXIAL * abs(y)
 
 
 def odd_casters(rest: AtRest, base: Base) -> list[Joint]:
@@ -427,14 +425,12 @@ def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> U
     """The error for wheels that make no base by themselves, with the options that would."""
     if blind := blind_beside(rest, wheels):
         return unmeasured(rest, [*wheels, *blind])
-    why, ways = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls", []
+    why = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls"
     if len(drives) == 2:
-        near = coaxial(*drives, within=SLOPPY)
-        why = "the two wheels are not on one axle" + (", though nearly" if near else ", and no other base has two")
-        ways = [f"--wheels {','.join(c.joint.name for c in left_first(rest, drives))}"] if near else []
+        why = "the two wheels are not on one axle, and no other base has two"
     elif len(drives) == 1:
         why = "a base on one wheel is not covered"
-    return undecided(rest, wheels, why, ", or ".join([*ways, FORCES]))
+    return undecided(rest, wheels, why, FORCES)
 
 
 def drawn_plain(rest: AtRest, wheels: Sequence[Candidate]) -> frozenset[str]:

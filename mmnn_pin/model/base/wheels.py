@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
@@ -24,7 +25,7 @@ from ...signals import Array
 from ..signs import MARGIN, Sign, score
 from ..urdf.audit import BodyPart
 from ..urdf.document import Joint
-from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest, Shape, reach_about, round_about
+from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest, Shape, is_ball, reach_about, round_about
 
 TOUCHING = 0.2  # a wheel's lowest point may be off the floor by this fraction of the radius
 COAXIAL = 0.01  # two wheels' axes may be apart by this fraction of the track
@@ -245,7 +246,9 @@ def standing_on(rest: AtRest, known: list[Candidate], floor: float) -> float:
     lowest = min((rest.bottom(link) for link in body), default=math.inf)
     near = len(steady) >= ROUND_ABOUT and level - lowest <= SURE * feet[0][1]
     wheels = [c for c in known if abs(c.bottom - level) <= SURE * c.radius]
-    return level if near or (len(wheels) >= 4 and all(is_axle(rest, c, wheels, True) for c in wheels)) else floor
+    axles = len(wheels) >= 4 and all(is_axle(rest, c, wheels, True) for c in wheels)
+    rims = len(wheels) >= ROUND_ABOUT and all(c.rollers for c in wheels)
+    return level if near or axles or rims else floor
 
 
 def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[Candidate]:
@@ -331,7 +334,8 @@ def look_at(rest: AtRest, joint: Joint, rollers: tuple[str, ...], tag: str) -> W
     axis, hub = rest.axis(joint), rest.hub(joint)
     bodies, gone = readable(rest, rest.document.body(joint.child), tag)
     rims, rims_gone = readable(rest, [rest.document.joints[name].child for name in rollers], tag)
-    rounds = [(*fit, s.kind) for s in bodies if (fit := round_about(s, hub, axis))]
+    fits = [(s, fit) for s in bodies if (fit := round_about(s, hub, axis))]
+    rounds = [(*fit, "sphere" if is_ball(s, hub + fit[1] * axis, fit[0]) else s.kind) for s, fit in fits]
     if rounds and max(reach_about(s, hub, axis)[0] for s in bodies) > FLIPPER * max(rounds)[0]:
         rounds = []
     if rims:
@@ -444,9 +448,10 @@ def blind_beside(rest: AtRest, wheels: list[Candidate]) -> list[Candidate]:
 
 def height_at(rest: AtRest, fraction: float) -> float:
     """Height of so much of the way from a robot's lowest frame or primitive to its highest [m]."""
-    heights = [float(pose[2, 3]) for pose in rest.placements.values()]
+    heights = [float(pose[2, 3]) for link, pose in rest.placements.items() if link != rest.document.root_link]
     heights += [float(shape.pose[2, 3]) for shapes in rest.primitives.values() for shape in shapes]
-    return min(heights) + fraction * (max(heights) - min(heights))
+    low, high = min(heights, default=0.0), max(heights, default=0.0)
+    return low + fraction * (high - low)
 
 
 def is_endless_end(rest: AtRest, joint: Joint) -> bool:
@@ -513,13 +518,15 @@ def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float
     """The mount of a wheel, and its trail if that is a joint about a vertical axis.
 
     A swivel turns without end, or all the way round with the wheel trailing behind it; other such joints steer. More
-    than two joints are a leg, fewer without a vertical one, or any that carry other wheels, a rocker: a suspension.
+    than two joints that carry the same wheels are a leg; fewer without a vertical one, or of a rocker, a suspension.
     """
     above = moving_above(rest, joint)
-    beside = [j for j in rest.document.moving_children(joint.parent) if is_endless_end(rest, j)]
-    if len(beside) >= ROUND_ABOUT:  # the base hangs on joints of a torso that is the root
+    ends = [j for j in rest.document.joints.values() if is_endless_end(rest, j)]
+    bodies = [body for body, count in Counter(j.parent for j in ends).items() if count >= ROUND_ABOUT]
+    if bodies == [joint.parent]:  # the base hangs on joints of a torso that is the root
         return "", math.inf
-    if len(above) > 2 and not any(carries_wheels(rest, j) for j in above):
+    carried = Counter(frozenset(j.name for j in ends if up in rest.document.moving_ancestors(j.child)) for up in above)
+    if max(carried.values(), default=0) > 2:
         return "leg", math.inf
     upright = next(iter(pivots_above(rest, joint)), None)
     if upright is None:  # some files write the axis of a steering joint wrong
@@ -527,14 +534,6 @@ def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float
     trail = math.dist(rest.hub(upright)[:2], wheel.centre[:2])
     all_round = upright.turns_freely or (upright.upper - upright.lower > ALL_ROUND and trail > TRAIL)
     return ("swivel" if all_round else "steering"), trail
-
-
-def carries_wheels(rest: AtRest, joint: Joint) -> bool:
-    """Whether two of what a joint carries turn without end on axles of their own, as wheels of a rocker do."""
-    ends = [j for j in rest.document.joints.values() if is_endless_end(rest, j)]
-    carried = [j for j in ends if joint in rest.document.moving_ancestors(j.child)[1:]]
-    axes = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in carried]
-    return any(not coaxial(a, b) for i, a in enumerate(axes) for b in axes[:i])
 
 
 def bare_swivels(rest: AtRest, floor: float, radius: float) -> Iterator[Joint]:

@@ -128,11 +128,11 @@ class MeshFile:
 def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> MeshFile:
     """Find a mesh without opening it.
 
-    `package://NAME/...`, `model://NAME/...` and `$(find NAME)/...` are looked for in the package. Other names start
-    from the URDF's folder; they may stay inside its package (the folder with a `package.xml`, else the one above
-    `urdf/` or `robots/`, else the URDF's own), inside a package folder, or inside another package. An absolute name
-    from another machine, `/home/THEM/ws/src/NAME/meshes/...`, is looked for in the package NAME that is seen here, else
-    by its end, `meshes/...`, in the URDF's own.
+    `package://NAME/...`, `model://NAME/...` and `$(find NAME)/...` are looked for in the package NAME, in `models/` of
+    others, too. Other names start from the URDF's folder; they may stay inside its package (the folder with a
+    `package.xml`, else the one above `urdf/` or `robots/`, else the URDF's own), inside a package folder, or inside
+    another package. An absolute name from another machine, `/home/THEM/ws/src/NAME/meshes/...`, is looked for in the
+    package NAME that is seen here, else by its end, `meshes/...`, in the URDF's own.
 
     Args:
         name: The file name as the URDF states it.
@@ -172,7 +172,8 @@ def in_package(rest: str, urdf: Path, folder: str, given: list[str]) -> MeshFile
     package, _, inner = rest.lstrip("/").partition("/")
     if package in ("", ".", ".."):
         return MeshFile(None, "outside")
-    roots = [os.path.join(top, package) for top in (*given, *environment(), *upwards(folder))]
+    tops = (*given, *environment(), *upwards(folder))  # models of Gazebo are in `models/` of a package
+    roots = [os.path.join(top, *inside, package) for top in tops for inside in ((), ("models",))]
     roots += [top for top in given if os.path.basename(top) == package or os.path.exists(os.path.join(top, inner))]
     roots = [root for root in roots if os.path.isdir(root)]
     meshes = [first_inside([os.path.join(root, inner)], [root, *given]) for root in roots]

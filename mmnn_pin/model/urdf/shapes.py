@@ -143,6 +143,12 @@ class AtRest:
         origin, at = self.document.links[link].find("inertial/origin"), self.placements[link]
         return product(at[:3, :3], numbers(origin, "xyz")) + at[:3, 3]
 
+    @cached_property
+    def middle(self) -> Array:
+        """(3,) centre of mass of the robot, 0 of one without mass [m]."""
+        total = sum((mass * self.centre(link) for link, mass in self.masses.items()), np.zeros(3))
+        return np.asarray(total / (math.fsum(self.masses.values()) or 1.0))
+
     def bottom(self, link: str) -> float:
         """Height of a link's lowest place by its primitives, else of its centre of mass; inf for an empty one [m]."""
         heights = [shape.lowest for shape in self.primitives[link]]
@@ -186,6 +192,15 @@ def round_about(shape: Shape, hub: Array, axis: Array) -> tuple[float, float] | 
     centred = length(offset - travel * axis) <= AROUND * shape.radius
     aligned = shape.kind == "sphere" or abs(shape.pose[:3, 2] @ axis) > 1 - HORIZONTAL**2
     return (shape.radius, travel) if shape.kind in ("sphere", "cylinder") and centred and aligned else None
+
+
+def is_ball(shape: Shape, centre: Array, radius: float) -> bool:
+    """Whether a shape that is round about an axis is as round about all others through its middle."""
+    if shape.kind != "mesh":
+        return shape.kind == "sphere"
+    away = shape.points - centre
+    room = (1 + 2 * AROUND) * radius
+    return bool(np.linalg.norm(away, axis=1).max() <= room and np.ptp(away, axis=0).min() >= 2 * (1 - AROUND) * radius)
 
 
 def mesh_round_about(points: Array, axis: Array) -> tuple[float, float] | None:
