@@ -24,7 +24,7 @@ from .base.wheels import alike_on_root, is_low
 from .groups import groups_of
 from .hands import Hand, hands_of, of_other_arm
 from .limbs import STILL, WRIST, Limb, Limbs
-from .urdf.document import Document, number
+from .urdf.document import Document
 from .urdf.shapes import AtRest
 
 WHY = {
@@ -202,12 +202,8 @@ def slaves_of(document: Document) -> dict[str, Slave]:
     Raises:
         RobotError: A master that does not exist, or a circle.
     """
-    direct, slaves = dict[str, Slave](), dict[str, Slave]()
-    for element in document.root.iterchildren("joint"):
-        mimic = element.find("mimic")
-        if mimic is not None and document.joints[element.get("name")].moves:
-            gain, offset = number(mimic, "multiplier", 1.0), number(mimic, "offset", 0.0)
-            direct[element.get("name")] = Slave(mimic.get("joint", ""), gain, offset)
+    followers = [j for j in document.joints.values() if j.mimics is not None and j.moves]
+    direct, slaves = {j.name: Slave(j.mimics or "", j.multiplier, j.offset) for j in followers}, dict[str, Slave]()
     for name, slave in direct.items():
         seen, problem = {name}, ""
         while slave.master in direct and slave.master not in seen:  # a slave of a slave: of the first master

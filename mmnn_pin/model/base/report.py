@@ -384,8 +384,8 @@ def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:
     axis, joint_axis = across[c.joint.name], in_words(c.joint.axis)
     why = f"the cylinder on '{c.joint.name}' lies along {axis} in its link, and its joint turns about {joint_axis}"
     fix = "turn the cylinders or the <axis> of the joints, so that they agree"
-    stated = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
-    if bare := [f"'{name}'" for name, other in across.items() if other == axis and name not in stated]:
+    joints = rest.document.joints
+    if bare := [f"'{name}'" for name, other in across.items() if other == axis and not joints[name].has_axis]:
         fix = f'an <axis> that is left out is x: write <axis xyz="{axis}"/> in {", ".join(bare)}, or turn the cylinders'
     return why, f"{fix}; {blind_fix(rest, wheels) if paired else '--base fixed parks them'}"
 

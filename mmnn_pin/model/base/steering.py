@@ -256,17 +256,10 @@ def placed_pivot(rest: AtRest, frame: Array, m: Module, role: str, under: Underc
         sign=math.copysign(1.0, rest.axis(joint)[2]),
         lower=joint.lower if joint.type == "revolute" else -math.inf,
         upper=joint.upper if joint.type == "revolute" else math.inf,
-        rate=rate_of(rest, joint),
+        rate=joint.rate,
         motor=steers,
         wheel=wheel,
     )
-
-
-def rate_of(rest: AtRest, joint: Joint) -> float:
-    """Largest rate that a file states of a joint, inf where it states none or 0 [rad/s]."""
-    element = next(e for e in rest.document.root.iterchildren("joint") if e.get("name") == joint.name)
-    stated_rate = float(element.find("limit").get("velocity", "0")) if element.find("limit") is not None else 0.0
-    return stated_rate if stated_rate > 0 else math.inf
 
 
 def placed_wheels(frame: Array, wheels: Sequence[Candidate], pivot: int, **more: bool) -> list[Wheel]:

@@ -559,13 +559,12 @@ def welded_wheels(rest: AtRest, floor: float) -> list[Joint]:
 def written_to_turn(rest: AtRest, welded: list[Joint]) -> str:
     """The edit of a file by which welded wheels turn, and what steers them: joints with a vertical axis."""
     names = list[str]()
-    axes = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
     for wheel in welded:
         link, above = wheel.parent, list[Joint]()
         while link in rest.document.carrier:
             above.append(rest.document.carrier[link])
             link = above[-1].parent
-        pivots = [j for j in above if not j.moves and j.name in axes and np.any(j.axis) and rest.is_vertical(j)]
+        pivots = [j for j in above if not j.moves and j.has_axis and np.any(j.axis) and rest.is_vertical(j)]
         names += [j.name for j in pivots[:1] if j.child != wheel.parent or len(above) > 1 or j is above[0]]
     joined = ", ".join(f"'{name}'" for name in dict.fromkeys([*names, *(joint.name for joint in welded)]))
     return f'write type="continuous" in {joined} if they turn'
@@ -607,11 +606,10 @@ def welded_cylinders(rest: AtRest, floor: float) -> list[Joint]:
 def welded_axles(rest: AtRest) -> list[Joint]:
     """Fixed joints that keep a horizontal axis shared by two, on the lowest bodies."""
     document = rest.document
-    with_axis = {e.get("name") for e in document.root.iterchildren("joint") if e.find("axis") is not None}
 
     def is_hub(joint: Joint) -> bool:
         ends = not joint.moves and not document.children[joint.child] and not document.moving_ancestors(joint.child)
-        stated = joint.name in with_axis and np.any(joint.axis) and rest.is_horizontal(joint)
+        stated = joint.has_axis and np.any(joint.axis) and rest.is_horizontal(joint)
         return bool(ends and stated and rest.mass(joint.child) > 0)
 
     hubs = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in document.joints.values() if is_hub(j)]

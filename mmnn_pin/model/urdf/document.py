@@ -34,13 +34,16 @@ class Joint:
     child: str  # link it carries
     origin: Array  # (4, 4) placement of the child's frame in the parent's, at position 0
     axis: Array  # (3,) unit axis in the child's frame (a fixed joint's may be zero)
+    has_axis: bool  # whether the file states it
     lower: float  # lower limit [rad or m], -inf when unlimited
     upper: float  # upper limit [rad or m], inf when unlimited
     effort: float  # largest torque or force [N m or N]; inf when the file states none, 0 or a negative one
+    rate: float  # largest rate [rad/s or m/s]; inf when the file states none, 0 or a negative one
     damping: float  # viscous friction [N m s or N s/m]
     friction: float  # Coulomb friction [N m or N]
     mimics: str | None  # joint that it follows, None for an ordinary joint
     multiplier: float  # its rate over that joint's; 1 for an ordinary joint
+    offset: float  # its position where that joint's is 0 [rad or m]; 0 for an ordinary joint
     line: int  # line in the file
 
     @property
@@ -72,13 +75,16 @@ class Joint:
             child=parts["child"].get("link"),
             origin=placement(parts.get("origin")),
             axis=np.array(axis) / (math.hypot(*axis) or 1.0),
+            has_axis="axis" in parts,
             lower=number(limit, "lower", 0.0) if limited else -math.inf,
             upper=number(limit, "upper", 0.0) if limited else math.inf,
             effort=effort if (effort := number(limit, "effort", 0.0)) > 0 else math.inf,
+            rate=rate if (rate := number(limit, "velocity", 0.0)) > 0 else math.inf,
             damping=number(dynamics, "damping", 0.0),
             friction=number(dynamics, "friction", 0.0),
             mimics=None if mimic is None else mimic.get("joint"),
             multiplier=number(mimic, "multiplier", 1.0),
+            offset=number(mimic, "offset", 0.0),
             line=element.sourceline,
         )
 
