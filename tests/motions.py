@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+import scipy
 
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.model.robot import Robot
@@ -15,9 +16,12 @@ RATE = 100.0
 
 
 def sines(
-    robot: Robot, duration: float = 20.0, rate: float = RATE, seed: int = 0, speed: float = 1.0
+    robot: Robot, duration: float = 20.0, rate: float = RATE, seed: int = 0, speed: float = 1.0, ahead: float = 0.0
 ) -> tuple[Array, Array, Array, Array]:
-    """Times (N,), and coordinates, rates and accelerations of nu (N, p): four sines of incommensurable frequencies."""
+    """Times (N,), and coordinates, rates and accelerations of nu (N, p): four sines of incommensurable frequencies.
+
+    With a speed ahead the base has that, too, and all begins at rest, in a second.
+    """
     rng, p = np.random.default_rng(seed), robot.dimensions.dof
     t = np.arange(0.0, duration, 1 / rate)
     frequency = 2 * np.pi * np.array([0.11, 0.23, 0.37, 0.53])
@@ -28,7 +32,14 @@ def sines(
             x[:, j] += size * np.sin(w * t + phase)
             v[:, j] += size * w * np.cos(w * t + phase)
             a[:, j] -= size * w * w * np.sin(w * t + phase)
-    return t, x, v, a
+    if not ahead:
+        return t, x, v, a
+    x[:, 0] += ahead * t
+    v[:, 0] += ahead
+    u = np.minimum(t, 1.0)
+    s, ds, dds = t - u + u**3 - u**4 / 2, 3 * u**2 - 2 * u**3, 6 * u * (1 - u)
+    x, v, a = (scipy.interpolate.make_interp_spline(t, part, 5)(s) for part in (x, v, a))
+    return t, x, v * ds[:, None], a * ds[:, None] ** 2 + v * dds[:, None]
 
 
 def efforts(robot: Robot, x: Array, v: Array, a: Array, rotors: Array | float = 0.0) -> Array:
@@ -57,6 +68,7 @@ def simulated(
     seed: int = 0,
     rotors: Array | float = 0.0,
     speed: float = 1.0,
+    ahead: float = 0.0,
 ) -> Log:
     """A log of the joints' and wheels' positions and of all motors' torques.
 
@@ -67,8 +79,9 @@ def simulated(
         seed: Of motion and noise.
         rotors: Of the arm's joints [kg m^2].
         speed: Of all velocities, relative.
+        ahead: The base's mean speed, see `sines`.
     """
-    t, x, v, a = sines(robot, duration, seed=seed, speed=speed)
+    t, x, v, a = sines(robot, duration, seed=seed, speed=speed, ahead=ahead)
     tau = efforts(robot, x, v, a, rotors)
     u = tau @ np.linalg.pinv(robot.E).T
     u += noise * np.sqrt((u**2).mean(axis=0)) * np.random.default_rng(seed + 1000).standard_normal(u.shape)

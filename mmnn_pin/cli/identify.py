@@ -190,7 +190,9 @@ def what_it_changes(found: Identification, robot: str, urdf: Path, overrides: di
 def why_nothing(found: Identification) -> str:
     """The reason why a fit is not written."""
     if found.plausible and not found.helps_in_urdf:
-        return "what a URDF can hold of the fit predicts no better than the URDF; what helps are constants and rotors"
+        held, before = (f"{100 * found.error(model):.3g} %" for model in ("urdf_file", "urdf"))
+        why = f"what a URDF can hold of the fit predicts no better ({held}) than the URDF ({before})"
+        return f"{why}; what helps are constants and rotors"
     if found.plausible:
         return "the fit is no better than what it is compared with"
     why = "no masses that can be explain these efforts: currents need --torque-constant, check units and signs"

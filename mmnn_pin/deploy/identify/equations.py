@@ -37,6 +37,9 @@ LEAST, MOST = 4.0, 20.0  # cutoff [Hz]
 SLOW = 0.03  # share of a joint's fast speed below which it counts as still
 PLACES, SAME = 20, 1e-6  # postures at which gravity is looked at; its change that counts as none
 MOVING = 0.9  # share of a filtered row's time in which its joints have to move
+SHARED = 0.01  # share of a parameter in what is not told, from which it is named
+TINY = 1e-12  # length of a column and effort of a row under which they are none
+FORMULA = 0.03  # relative error of the formulas of friction, among others where the filter lets in a standstill
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +158,26 @@ class Equations:
     def only(self, rows: Bools) -> Equations:
         """The equations, of which only some rows (r,) count."""
         return replace(self, use=self.use & rows)
+
+    def told_apart(self, unknowns: Unknowns) -> tuple[Equations, list[str]]:
+        """The equations without what they say of friction and constants below the error of friction's formulas.
+
+        Second, labels of the parameters of which they tell only sums then.
+
+        Of joints that never turn back, dry friction and a constant have one effect, but for what the filter lets in of
+        the start: their sum is told, and no part of it. Columns over their lengths, rows over their efforts, have a
+        singular value below `FORMULA` along such a direction, and lose it.
+        """
+        columns = unknowns.columns("viscous", "coulomb", "stribeck", "offset")
+        weight = self.use / np.maximum(np.sqrt((self.y**2).mean(axis=0)), TINY)
+        X = (self.Y[:, :, columns] * weight[:, :, None]).reshape(-1, len(columns))
+        size = np.maximum(np.linalg.norm(X, axis=0), TINY)
+        values, vectors = np.linalg.eigh((X / size).T @ (X / size))
+        lost = vectors[:, values < FORMULA**2]
+        Y = self.Y.copy()
+        Y[:, :, columns] -= ((Y[:, :, columns] / size) @ lost) @ (lost.T * size)
+        mixed = ((lost**2).sum(axis=1) > SHARED) & (size > TINY)
+        return replace(self, Y=Y), [unknowns.labels[i] for i in columns[mixed]]
 
     @classmethod
     def stacked(cls, parts: Sequence[Equations]) -> Equations:

@@ -361,11 +361,11 @@ def fitted(
     prior, friction = Prior.of(unknowns, training), friction_alone(training, unknowns)
     follows, why = following(training, unknowns, prior, friction, tell)
     moves = np.ptp(np.concatenate([coordinates(log, robot)[0] for log in logs]), axis=0) > 1e-3
-    used = training.only(follows)
+    training, mixed = training.only(follows).told_apart(unknowns)
     tell("fitting base parameters", 0.0)
-    fit = weighted_fit(used, base_parameters(unknowns, follows, moves))
+    fit = weighted_fit(training, base_parameters(unknowns, follows, moves))
     tell("fitting all parameters", 0.0)
-    R, z = compressed(used, prior, follows, fit)
+    R, z = compressed(training, prior, follows, fit)
     allowed, about = rotors_of(R, z, prior, fit.inflation, rotors)
     prior = prior.of_any_size(unknowns.columns("rotor")[allowed[unknowns.columns("rotor")]])
     strength, chosen = np.where(allowed, prior.strength, FIXED), weight
@@ -374,6 +374,8 @@ def fitted(
         chosen = max(chosen, fit.inflation / DOUBT**2)  # no body is believed to be further from the URDF than bands say
     consistent = consistent_fit(R, z, prior, chosen, fit.inflation, allowed)
     notes = missing_notes(logs, robot)
+    if mixed:
+        notes.append(f"only sums are told, for joints never turn back or turn alike: {', '.join(mixed)}")
     return Identification(
         robot, tuple(logs), unknowns, training, test, fit, consistent, prior, follows, why, friction, tuple(notes),
         rotors=about,

@@ -89,6 +89,10 @@ class Prior:
             scale[places] = size[: len(places)]
         offsets = unknowns.columns("offset")
         scale[offsets] = np.maximum(np.sqrt((equations.y**2).mean(axis=0)), 1e-9)
+        for i in unknowns.columns("coulomb"):  # of a base that scrubs
+            name = unknowns.labels[i].rpartition(".")[0]
+            if name in unknowns.names and name not in regressor.joints:
+                scale[i] = scale[unknowns.labels.index(f"{name}.offset")]
         B[np.arange(first, k), np.arange(first, k)] = scale[first:]
         B[unknowns.of_base] = 0.0
         strength = np.ones(k)

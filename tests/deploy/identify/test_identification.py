@@ -561,8 +561,8 @@ def test_a_fit_that_a_urdf_cannot_hold_is_not_better(found: Identification) -> N
     other = replace(found)
     other.__dict__["in_urdf"] = 3.0 * found.unknowns.prior
     assert not other.helps_in_urdf and not other.better
-    assert "constants and rotors" in why_nothing(other)
     held, before = (percent(other.error(model)) for model in ("urdf_file", "urdf"))
+    assert f"predicts no better ({held}) than the URDF ({before}); what helps are constants" in why_nothing(other)
     assert f"of what a URDF can hold of it {held}: NOT better than both the URDF ({before})" in headline(
         report_of(other)
     )

@@ -1,4 +1,4 @@
-"""The mass of the whole on bases that only drive, where rotors of the wheels say what it says."""
+"""What bases that only drive leave open: mass and the wheels' rotors, dry friction and constants."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from motions import rubbing, simulated
 from mmnn_pin import identify
 from mmnn_pin.deploy.identify.report import total_of
 from mmnn_pin.model.robot import Robot
+from mmnn_pin.model.tree.body import parameters
 
 BASES = {"skid_steer": "skid_steer", "differential_drive": "differential_drive", "mecanum": "holonomic"}
 
@@ -55,3 +56,22 @@ def test_it_is_within_its_band(kind: str, noise: float, rotors: float, seed: int
     assert total["driven_sd"] < 0.2 * total["mass_sd"]  # the sum is known, its parts are not
     covariance = found.consistent.covariance
     assert np.linalg.eigvalsh(covariance)[0] > -1e-9 * np.trace(covariance)
+
+
+@settings(deadline=None, max_examples=6)
+@given(st.sampled_from(sorted(BASES)), st.sampled_from([0.0, 0.3]), st.integers(0, 99))
+def test_friction_of_wheels_that_never_turn_back_is_within_its_band(kind: str, dry: float, seed: int) -> None:
+    """An exact log from rest: the ringing of the filter told dry friction and constants apart, wrongly."""
+    file, _, _ = drawn(kind, 0.0, seed)
+    true = rubbing(file, 0.1, dry)
+    log = simulated(true, 15.0, seed=seed, ahead=5.0)
+    assert all((np.diff(log.position[wheel.joint]) > 0).all() for wheel in true.base.wheels)
+    found = identify(file, log)
+    truth = np.concatenate((parameters(true), np.zeros(found.unknowns.size - found.unknowns.regressor.size)))
+    at = found.unknowns.columns("viscous", "coulomb", "offset")
+    away, sd = np.abs(found.theta - truth)[at], np.sqrt(np.diag(found.consistent.covariance))[at]
+    size = np.abs(found.prior.B[at]).max(axis=1)
+    assert (away <= 1.96 * sd + 1e-3 * size).all()
+    assert found.error("identified") < 0.01  # the sum is known
+    (note,) = (note for note in found.notes if "only sums" in note)
+    assert all(f"{wheel.joint}.coulomb" in note for wheel in true.base.wheels)
