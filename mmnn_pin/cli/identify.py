@@ -189,7 +189,7 @@ def what_it_changes(found: Identification, robot: str, urdf: Path, overrides: di
 
 def why_nothing(found: Identification) -> str:
     """The reason why a fit is not written."""
-    if found.plausible and not found.helps_in_urdf:
+    if found.plausible and not found.helps_in_urdf and found.error("identified") < found.error("urdf"):
         held, before = (f"{100 * found.error(model):.3g} %" for model in ("urdf_file", "urdf"))
         why = f"what a URDF can hold of the fit predicts no better ({held}) than the URDF ({before})"
         return f"{why}; what helps are constants and rotors"
