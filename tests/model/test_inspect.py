@@ -103,10 +103,11 @@ def test_it_tells_how_to_run_a_robot_on_its_hardware_and_the_line_works_as_it_st
     file = written(Drive().urdf(ARM + TAGS))
     out = call("inspect", file)[1]
     said = next(line for line in out.splitlines() if line.startswith("  mmnn run track")).split(maxsplit=1)[1]
-    options = ("--controller", "pd", "--set", "time.duration=0.1", "--set", "plots=[]")
+    options = ("--controller", "two_layer", "--set", "time.duration=0.1", "--set", "plots=[]")
     code, out, err = call(*shlex.split(said), *options)
     assert said.endswith("--hardware unknown") and code == 0, err
     assert "note: driven left, right by velocity; elbow by position; no torque of a controller reaches any of" in out
+    assert "did not run" not in out  # rivals would move alike
     track = load_experiment("track", [f'robot="{file}"'])
     [unoffered] = interface_notes(track, track.load_robot())
     assert unoffered.startswith("the URDF offers no torque at left and 1 more, this run uses it; --hardware unknown")

@@ -248,6 +248,14 @@ def test_files_that_cannot_be_read(tmp_path):
         read(tmp_path / "robto.urdf")
     with pytest.raises(RobotError, match=r"is a folder, not a URDF file: did you mean '.*/robot\.urdf'\?"):
         read(tmp_path)
+    below = tmp_path / "stack" / "description" / "urdf"
+    below.mkdir(parents=True)
+    (tmp_path / "robot.urdf").rename(below / "robot.urdf")
+    (below.parent / "arm.xacro").touch()
+    with pytest.raises(RobotError, match=r"a folder.*: did you mean '.*/arm\.xacro' or '.*/urdf/robot\.urdf'\?"):
+        read(tmp_path)
+    with pytest.raises(RobotError, match="no such file: name a URDF"):  # a file is looked for beside it alone
+        read(tmp_path / "robot.urdf")
     with pytest.raises(RobotError, match=r"cannot be read \(Not a directory"):
         (tmp_path / "file").touch()
         read(tmp_path / "file" / "x.urdf")

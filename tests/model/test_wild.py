@@ -83,6 +83,9 @@ def test_second_opinions_are_told_when_they_differ(tmp_path):
     assert [f.message.split(" states")[0] for f in told] == ["wheel_separation (drive.yaml, line 3)"]
     with pytest.raises(ConfigError, match="cannot be read"):
         robot_of(far, controllers_file=str(tmp_path / "none.yaml"))
+    (study := tmp_path / "study.toml").write_text('base = "track"\n[factors]\n"feedback.base" = [1.0, 2.0]\n')
+    with pytest.raises(ConfigError, match="names no controller: none of its keys"):
+        robot_of(far, controllers_file=str(study))
 
 
 def test_joints_that_stand_inside_their_wheels_are_told():

@@ -48,7 +48,11 @@ def effective_rank(matrix: Array) -> float:
 
     From 1 for a matrix of rank one to n for n equal singular values; 0 for a zero matrix.
     """
-    singular = np.linalg.svd(matrix, compute_uv=False)
+    return rank_of(np.linalg.svd(matrix, compute_uv=False))
+
+
+def rank_of(singular: Array) -> float:
+    """Effective rank of a matrix with these singular values, largest first."""
     if not singular.size or singular[0] == 0:
         return 0.0
     share = singular / singular.sum()
@@ -80,7 +84,7 @@ def excitation(activations: Array, visible: float = 1e-6) -> Excitation:
         largest=float(values[0]),
         directions=int((values > visible * values[0]).sum()),
         units=len(values),
-        rank=effective_rank(activations),
+        rank=rank_of(singular),
         singular=np.asarray(singular, float),
         visible=visible,
     )

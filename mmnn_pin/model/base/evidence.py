@@ -76,6 +76,7 @@ FACTORS = {  # what else a controller multiplies them by
 SIDES = ("left", "right")
 MOTORS = {"commands": "ros2_control/joint[command_interface]", "transmissions": "transmission/joint"}
 KEY = re.compile(r"['\"]?([^\s'\"{}\[\],]{1,200}?)['\"]?\s*:(?:\s+|$)(.*)")  # longer ones no driver has
+CONTROLLING = re.compile("type|joint|wheel|track")  # in keys of controllers
 FLOW = re.compile(r"[{,]\s*['\"]?([^\s'\"{}\[\],:]{1,200})['\"]?\s*:\s*([^{}\[\],]+)")
 
 
@@ -345,6 +346,14 @@ def lines_of(file: str | None) -> list[tuple[int, str]]:
         fix = "name the YAML file of the robot's controllers"
         raise ConfigError("cannot be read", why=reason(error), fix=fix, file=file, key="controllers_file") from None
     return [(number, line.partition("#")[0]) for number, line in enumerate(text.splitlines(), 1)]
+
+
+def require_controllers(file: str | None) -> None:
+    """Refuse a file none of whose keys is one of controllers (`ConfigError`); errors as of `lines_of`."""
+    if file is not None and not any(CONTROLLING.search(key) for table in mappings_of(file).values() for key in table):
+        why = "none of its keys tells a type, a joint, or a length of wheels"
+        fix = "name the YAML file of the robot's controllers"
+        raise ConfigError("names no controller", why=why, fix=fix, file=file, key="controllers_file")
 
 
 def mappings_of(file: str | None) -> dict[tuple[str, ...], YamlTable]:

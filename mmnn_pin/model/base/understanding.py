@@ -26,7 +26,7 @@ from ..urdf.document import Document, Joint, text_of
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Fixed
-from .evidence import OUTDOORS, RADII, evidence, motors_named, plugins, stated
+from .evidence import OUTDOORS, RADII, evidence, motors_named, plugins, require_controllers, stated
 from .heading import left_first
 from .machines import (
     PROPELLERS,
@@ -128,6 +128,7 @@ def understand(document: Document, overrides: Overrides) -> Roles:
         UnknownName: A joint or link that the robot does not have.
         ConfigError: Something said that does not suit the robot.
     """
+    require_controllers(overrides.controllers_file)
     document, welds = welded(document)
     rest = AtRest(document, folders_of(document.path, overrides))
     try:

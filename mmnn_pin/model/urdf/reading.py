@@ -8,11 +8,13 @@ so the file is audited first (docs/reference/urdf-audit.md lists the codes). Wha
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from difflib import get_close_matches
+from itertools import islice
 from pathlib import Path
 
 from lxml import etree
@@ -22,8 +24,10 @@ from ...files import read_bytes, reason
 from .audit import XACRO_FIX, audit
 from .document import Document, LinkTree
 from .finding import AuditError, Finding, finding, settle
+from .packages import VISITED
 
 MAX_BYTES = 50_000_000
+NAMED = 3  # files of a folder at most that are proposed in its place
 NAMED_ALIKE = ("duplicate-name", "two-parents", "loop")  # what parts of one name lead to
 MJCF = "convert it to URDF, e.g. with mjcf-urdf-simple-converter (PyPI)"
 SDF = "convert it to URDF, e.g. with sdf2urdf of pysdf, or give the URDF or xacro file that it was made from"
@@ -154,14 +158,17 @@ def audit_file(
 
 
 def instead(path: Path) -> str:
-    """The files that may be meant by a path that cannot be read."""
-    names: list[str] = []
-    with suppress(OSError, ValueError):
-        there = (path if path.is_dir() else path.parent).iterdir()
-        names = sorted(one.name for one in there if one.suffix in (".urdf", ".xacro") and one.is_file() and one != path)
-    near = names if path.is_dir() else get_close_matches(path.name, names)
-    folder = path if path.is_dir() else path.parent
-    return f"did you mean '{folder / near[0]}'?" if near else "name a URDF or xacro file; `mmnn list` has robots"
+    """The files that may be meant by a path that cannot be read: beside it, or in a folder and those below it."""
+    inside, found = path.is_dir(), list[Path]()
+    folder = path if inside else path.parent
+    with suppress(ValueError):
+        tops = islice(os.walk(folder), VISITED if inside else 1)
+        around = (Path(top, name) for top, _, names in tops for name in names if name.endswith((".urdf", ".xacro")))
+        found = sorted((one for one in around if one.is_file() and one != path), key=lambda one: (len(one.parts), one))
+    names = {one.name: one for one in found}
+    meant = found[:NAMED] if inside else [names[name] for name in get_close_matches(path.name, names, 1)]
+    said = " or ".join(f"'{one}'" for one in meant)
+    return f"did you mean {said}?" if said else "name a URDF or xacro file; `mmnn list` has robots"
 
 
 def content(path: Path) -> bytes | str:

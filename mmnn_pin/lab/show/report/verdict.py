@@ -13,6 +13,7 @@ import numpy as np
 
 from ....errors import InputError
 from ....loop.reductions import percent
+from ....loop.servo import hidden_torques
 from ....recording.metrics import halves
 from ....recording.recording import Recording, recorded_robot
 from ...experiments.controllers import LEARNERS, ORACLES, PLAIN, USUAL, effective
@@ -333,9 +334,21 @@ def rivals_left_out(result: Result) -> Iterator[str]:
 
 
 def rivals_missing(result: Result) -> list[str]:
-    """Those of `USUAL` that did not run; none where there is no learner to beat them."""
+    """Those of `USUAL` that did not run; none where no learner is to beat them, or servos move all of them alike."""
+    if torques_hidden(result):
+        return []
     ran = {controller_of(name, recording) for name, recording in result.recordings.items()}
     return [name for name in USUAL if name not in ran] if ran - {*PLAIN, *ORACLES} else []
+
+
+def torques_hidden(result: Result) -> bool:
+    """Whether servos hide every torque, so that all controllers move the robot alike."""
+    experiment, first = result.experiment, next(iter(result.recordings.values()))
+    with suppress(InputError):
+        if experiment.interfaces:
+            hidden = hidden_torques(recorded_robot(first), experiment.interfaces, experiment.servo)
+            return hidden is not None and bool(hidden.all())
+    return False
 
 
 def torques(result: Result) -> Iterator[str]:
