@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...model.base.steered import SteeredBase
 from ...model.regressor import Regressor
@@ -51,7 +52,7 @@ def effective_rank(matrix: Array) -> float:
     return rank_of(np.linalg.svd(matrix, compute_uv=False))
 
 
-def rank_of(singular: Array) -> float:
+def rank_of(singular: NDArray[np.floating[Any]]) -> float:
     """Effective rank of a matrix with these singular values, largest first."""
     if not singular.size or singular[0] == 0:
         return 0.0
