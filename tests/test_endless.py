@@ -280,14 +280,20 @@ def test_a_text_is_searched_in_time_that_grows_with_its_size(kind: str, tmp_path
     assert time.process_time() - begun < 3.0
 
 
-LISTS = {"a key": "wheel" * 200_000 + ":\n", "a list": "joints:\n" + "- x\n" * 249_000, "keys": "a: {b: 1, " * 100_000}
+LISTS = {  # and whether a controller is found in them
+    "a key": ("wheel" * 200_000 + ":\n", False),
+    "a list": ("joints:\n" + "- x\n" * 249_000, True),
+    "keys": ("a: {b: 1, " * 100_000, False),
+}
 
 
 @pytest.mark.parametrize("kind", LISTS)
 def test_so_is_a_file_of_controllers(kind: str, tmp_path: Path) -> None:
-    (tmp_path / "a.yaml").write_text(LISTS[kind][:1_000_000])
+    (text, names), file = LISTS[kind], tmp_path / "a.yaml"
+    file.write_text(text[:1_000_000])
     begun = time.process_time()
-    assert main(["inspect", str(ROOT / "urdf" / "platform_arm.urdf"), "--controllers", str(tmp_path / "a.yaml")]) == 0
+    code = main(["inspect", str(ROOT / "urdf" / "platform_arm.urdf"), "--controllers", str(file)])
+    assert code == (0 if names else 2)
     assert time.process_time() - begun < PATIENCE
 
 
