@@ -76,8 +76,8 @@ FACTORS = {  # what else a controller multiplies them by
 SIDES = ("left", "right")
 MOTORS = {"commands": "ros2_control/joint[command_interface]", "transmissions": "transmission/joint"}
 KEY = re.compile(r"['\"]?([^\s'\"{}\[\],]{1,200}?)['\"]?\s*:(?:\s+|$)(.*)")  # longer ones no driver has
-CONTROLLING = re.compile("type|joint|wheel|track")  # in keys of controllers
 FLOW = re.compile(r"[{,]\s*['\"]?([^\s'\"{}\[\],:]{1,200})['\"]?\s*:\s*([^{}\[\],]+)")
+CONTROLLING = re.compile("type|joint|wheel|track")  # in keys of controllers
 
 
 @dataclass(frozen=True)

@@ -383,10 +383,7 @@ def require_together(rest: AtRest, drives: list[Candidate]) -> None:
 
 def weight_in(rest: AtRest, base: Base) -> tuple[float, Array]:
     """Mass of the robot at rest [kg], and its centre (2,) in the control frame [m]."""
-    links = [name for name in rest.document.links if rest.mass(name) > 0]
-    mass = math.fsum(rest.mass(name) for name in links)
-    centre = sum((rest.mass(name) * rest.centre(name)[:2] for name in links), np.zeros(2)) / (mass or 1.0)
-    return mass, np.array(in_frame(base.frame, centre))
+    return math.fsum(rest.masses.values()), np.array(in_frame(base.frame, rest.middle))
 
 
 # -- holonomic bases ---------------------------------------------------------------------------------------------------

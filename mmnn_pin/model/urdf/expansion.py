@@ -15,7 +15,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from importlib.util import find_spec
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,7 +26,7 @@ from ...files import read_bytes
 from .audit import KNOWN
 from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
 from .finding import Finding, finding
-from .packages import VISITED, above, package_of, packages
+from .packages import above, files_below, package_of, packages
 
 PATIENCE = 30.0  # how long it may wait for anything else [s]
 FILES = 400  # looked at for one that calls a macro
@@ -330,8 +329,7 @@ def line_of(path: Path, word: str) -> int:
 def macros_only(path: Path, data: bytes) -> Unexpanded:
     """The refusal of a file that expands to no links, with one beside it that calls its macros."""
     macros, near = MACRO.findall(read_text(path)), package_of(str(path.parent.absolute()))
-    around = (Path(top, name) for top, _, names in islice(os.walk(near), VISITED) for name in names)
-    others = sorted(file for file in around if file.suffix == ".xacro" and file.resolve() != path.resolve())[:FILES]
+    others = sorted(file for file in files_below(near, (".xacro",)) if file.resolve() != path.resolve())[:FILES]
     if not macros:
         defined = {name for file in others for name in MACRO.findall(read_text(file))}
         bare = [name for name in re.findall(r"<([\w.-]+)", data.decode(errors="replace")) if name in defined]

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -73,6 +74,12 @@ def above(urdf: Path) -> tuple[list[str], list[str]]:
 def is_top(folder: str) -> bool:
     """Whether a folder holds the packages of a workspace, or is a repository."""
     return os.path.basename(folder) == "src" or any(os.path.exists(os.path.join(folder, mark)) for mark in MARKS)
+
+
+def files_below(folder: str | Path, endings: tuple[str, ...], folders: int = VISITED) -> Iterator[Path]:
+    """Files in a folder and in those below it, so many folders at most, whose names end so."""
+    for top, _, names in islice(os.walk(folder), folders):
+        yield from (Path(top, name) for name in names if name.endswith(endings))
 
 
 def packages_at(places: Sequence[str]) -> dict[str, str]:

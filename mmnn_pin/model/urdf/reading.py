@@ -8,13 +8,11 @@ so the file is audited first (docs/reference/urdf-audit.md lists the codes). Wha
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from difflib import get_close_matches
-from itertools import islice
 from pathlib import Path
 
 from lxml import etree
@@ -24,7 +22,7 @@ from ...files import read_bytes, reason
 from .audit import XACRO_FIX, audit
 from .document import Document, LinkTree
 from .finding import AuditError, Finding, finding, settle
-from .packages import VISITED
+from .packages import VISITED, files_below
 
 MAX_BYTES = 50_000_000
 NAMED = 3  # files of a folder at most that are proposed in its place
@@ -162,8 +160,7 @@ def instead(path: Path) -> str:
     inside, found = path.is_dir(), list[Path]()
     folder = path if inside else path.parent
     with suppress(ValueError):
-        tops = islice(os.walk(folder), VISITED if inside else 1)
-        around = (Path(top, name) for top, _, names in tops for name in names if name.endswith((".urdf", ".xacro")))
+        around = files_below(folder, (".urdf", ".xacro"), VISITED if inside else 1)
         found = sorted((one for one in around if one.is_file() and one != path), key=lambda one: (len(one.parts), one))
     names = {one.name: one for one in found}
     meant = found[:NAMED] if inside else [names[name] for name in get_close_matches(path.name, names, 1)]
